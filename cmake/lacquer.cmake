@@ -1,0 +1,25 @@
+# Compiler settings of every target of ours. No -march (breaks at Debian's Eigen/Ceres boundary), no -ffast-math (kills NaN checks).
+add_library(lacquer_options INTERFACE)
+target_compile_options(lacquer_options INTERFACE -Wall -Wextra -Wpedantic -Wconversion -Wno-sign-conversion -fno-math-errno)
+target_include_directories(lacquer_options INTERFACE ${CMAKE_SOURCE_DIR})
+if(LACQUER_WERROR)
+  target_compile_options(lacquer_options INTERFACE -Werror)
+endif()
+if(LACQUER_ASSERTS)
+  string(REPLACE "-DNDEBUG" "" CMAKE_CXX_FLAGS_RELWITHDEBINFO "${CMAKE_CXX_FLAGS_RELWITHDEBINFO}")
+endif()
+if(LACQUER_SANITIZE)
+  # Debian's Ceres is built without the sanitizer: Eigen must use the same allocator on both sides of the boundary.
+  target_compile_options(lacquer_options INTERFACE -fsanitize=address,undefined -fno-sanitize-recover=undefined
+                                                   -fno-omit-frame-pointer)
+  target_compile_definitions(lacquer_options INTERFACE EIGEN_MALLOC_ALREADY_ALIGNED=1)
+  target_link_options(lacquer_options INTERFACE -fsanitize=address,undefined)
+endif()
+
+# lacquer_library(<name> SOURCES ... PUBLIC ... PRIVATE ...): a static library lacquer_<name>, alias lacquer::<name>.
+function(lacquer_library name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  add_library(lacquer_${name} STATIC ${ARG_SOURCES})
+  add_library(lacquer::${name} ALIAS lacquer_${name})
+  target_link_libraries(lacquer_${name} PUBLIC lacquer_options ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
+endfunction()

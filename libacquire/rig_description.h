@@ -1,0 +1,77 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "libacquire/frame.h"
+#include "libacquire/rig_geometry.h"
+
+namespace lacquer::acquire {
+
+/// Sensor as the data sheet states it (nominal), all channels alike but for sensitivity.
+struct SensorDescription {
+  PixelLayout layout = PixelLayout::mono;
+  int bits = 12;                            ///< 8..16
+  double black_level_dn = 0;                ///< offset added by the camera, DN
+  double gain_e_per_dn = 1;                 ///< electrons per DN
+  double read_noise_e = 2;                  ///< RMS electrons, quantisation not included
+  double full_well_e = 0;                   ///< electrons; 0: the ADC clips first
+  double dark_current_e_per_s = 0;
+  glm::dvec3 sensitivity{1.0};              ///< electrons per second and W m^-2 sr^-1, per channel R G B (mono: the first)
+  double vignetting = 0;                    ///< fraction lost at the image corner, falls with the 4th power law 1 - v * (rho/rho_corner)^2
+  enum class Response { linear, gamma, estimate } response = Response::linear;
+  double gamma = 1;                         ///< response gamma: DN = max * (linear fraction)^(1/gamma); simulated rig only
+};
+
+/// One position of the turntable with one light on.
+struct PlannedView {
+  double turntable_angle = 0;        ///< radians
+  int light = 0;                     ///< index into geometry.lights
+  std::vector<double> exposures_s;   ///< ascending
+  std::vector<std::filesystem::path> files;  ///< replay: one per exposure, absolute
+};
+
+/// What the simulated rig does differently from the description: the truth, never seen by the pipeline.
+struct SimulationDescription {
+  std::filesystem::path paint;            ///< default paint (any BRDF file)
+  std::uint64_t seed = 1;
+  double axis_tilt_x = 0, axis_tilt_z = 0;   ///< radians, true axis against nominal
+  glm::dvec3 axis_offset{0.0};               ///< metres
+  double step_error_rms = 0;                 ///< radians, true angle against read-back angle
+  double readback_noise_rms = 0;             ///< radians
+  double led_drift_per_hour = 0;             ///< fraction, exponential warm-up drift
+  double led_noise_rms = 0;                  ///< fraction, frame to frame
+  double stray_light = 0;                    ///< fraction of the image's mean radiance added everywhere
+  double blur_px = 0;                        ///< sigma of the lens blur, pixels
+  glm::dvec3 sphere_offset{0.0};             ///< metres, true sphere centre against nominal
+};
+
+/// Which surface points may be used: part of the rig, not of the code.
+struct MaskDescription {
+  std::optional<std::filesystem::path> file;  ///< 8-bit image, 0 = not paint
+  std::optional<double> min_y;                ///< metres, rig frame: the paper's upper half-sphere is 0
+};
+
+/// A rig file (TOML), checked: every number finite and in range, unknown keys are errors that name the nearest known key.
+struct RigDescription {
+  enum class Kind { simulated, replay } kind = Kind::simulated;
+  std::string name;
+  std::filesystem::path file;     ///< where it was read from; relative paths in it are relative to its folder
+  std::string text;               ///< the file's content, copied into the session
+  RigGeometry geometry;           ///< nominal
+  SensorDescription sensor;
+  MaskDescription mask;
+  std::vector<PlannedView> plan;
+  SimulationDescription simulation;
+  bool absolute_scale = true;     ///< light intensities and sensitivity are calibrated: f_r comes out in 1/sr
+};
+
+RigDescription read_rig(const std::filesystem::path& file);
+/// The same from text; `file` is used for messages and relative paths.
+RigDescription parse_rig(const std::string& text, const std::filesystem::path& file);
+
+}  // namespace lacquer::acquire

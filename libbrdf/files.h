@@ -1,0 +1,58 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "libbrdf/brdf.h"
+#include "libbrdf/table.h"
+
+/// BRDF files. Readers treat every file as hostile: sizes are checked before allocation, errors are Error{file} with one line that
+/// names file, field and what was expected. Writers go to a temporary name in the same folder and rename.
+namespace lacquer::brdf {
+
+/// Our table: EXR, 16200 x 90 pixels (x = phi_d + 180 theta_d, y = theta_h), ZIP. Channels per colour C in {R, G, B} or {Y}:
+/// C.mean, C.variance, C.theta_h, C.theta_d, C.phi_d (float), C.count, C.origin (uint). Header attributes "lacquer.version" (int),
+/// "lacquer.absolute_scale" (int), "lacquer.provenance" (string, JSON).
+void write_table(const std::filesystem::path& file, const HalfAngleTable& table);
+HalfAngleTable read_table(const std::filesystem::path& file);
+
+/// MERL .binary, value at the cell's centre; empty cells and cells with a direction below the horizon are written as -1.
+/// One-channel tables are written to all three planes. Relative or camera-RGB values are the caller's to state.
+void write_merl(const std::filesystem::path& file, const HalfAngleTable& table);
+/// Negative entries become empty cells.
+HalfAngleTable read_merl(const std::filesystem::path& file);
+
+/// RGL/EPFL tensor file .bsdf (Dupuy and Jakob 2018), isotropic and anisotropic (averaged over phi_i is NOT done: anisotropic files are
+/// an error that says so). `rgb` files as they are; `spectra` files are integrated to linear sRGB under equal energy with the
+/// CIE 1931 matching functions.
+std::unique_ptr<Brdf> read_rgl(const std::filesystem::path& file);
+
+/// Model of a fit.json or of a bare {"kd": [r,g,b], "lobes": [{"ks": [r,g,b], "m": m, "r": r}]}.
+/// Checks: finite numbers, kd, ks >= 0, m in (0, 1], r in [0, 1], at most 16 lobes; unknown keys are allowed.
+CookTorrance read_model(const std::filesystem::path& file);
+CookTorrance model_from_json(const std::string& text, const std::string& name_for_errors);
+/// {"kd": ..., "lobes": ...} with 17 significant digits, the paint entry of papers/table1.json.
+std::string model_to_json(const CookTorrance& model);
+
+/// Writes `file` through a temporary name in its folder and a rename; `write` gets the temporary path. On an exception the
+/// temporary is removed and `file` is untouched.
+void write_atomically(const std::filesystem::path& file, const std::function<void(const std::filesystem::path&)>& write);
+void write_text_atomically(const std::filesystem::path& file, const std::string& text);
+
+/// Whole file; Error{file} if it is missing, not a regular file or larger than `max_bytes`.
+std::vector<std::byte> read_bytes(const std::filesystem::path& file, std::uint64_t max_bytes);
+std::string read_text(const std::filesystem::path& file, std::uint64_t max_bytes = 64u << 20);
+
+/// XXH3-128 as 32 hex digits, what `xxhsum -H2` prints.
+std::string checksum(std::span<const std::byte> bytes);
+std::string file_checksum(const std::filesystem::path& file);
+
+/// Software version, e.g. "0.1.0".
+const char* version();
+
+}  // namespace lacquer::brdf

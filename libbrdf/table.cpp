@@ -1,0 +1,165 @@
+#include "libbrdf/table.h"
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <numbers>
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+namespace lacquer::brdf {
+
+namespace {
+constexpr double pi = std::numbers::pi;
+constexpr double half_pi = pi / 2;
+
+/// Continuous index of theta_h: cell i covers [i, i+1), its centre is i + 0.5.
+double theta_h_coordinate(double theta_h) { return std::sqrt(std::max(theta_h, 0.0) / half_pi) * TableGrid::n_theta_h; }
+}  // namespace
+
+TableGrid::Cell TableGrid::cell(std::size_t index) {
+  const auto i = static_cast<int>(index);
+  return {i / (n_phi_d * n_theta_d), (i / n_phi_d) % n_theta_d, i % n_phi_d};
+}
+
+TableGrid::Cell TableGrid::cell(const HalfDiff& c) {
+  const auto clamped = [](double x, int n) { return std::clamp(static_cast<int>(x), 0, n - 1); };
+  return {clamped(theta_h_coordinate(c.theta_h), n_theta_h), clamped(c.theta_d / half_pi * n_theta_d, n_theta_d),
+          clamped(fold_phi_d(c.phi_d) / pi * n_phi_d, n_phi_d)};
+}
+
+double TableGrid::theta_h_edge(int i) {
+  const double x = static_cast<double>(i) / n_theta_h;
+  return x * x * half_pi;
+}
+
+HalfDiff TableGrid::centre(const Cell& c) {
+  const double x = (c.theta_h + 0.5) / n_theta_h;
+  return {x * x * half_pi, (c.theta_d + 0.5) / n_theta_d * half_pi, (c.phi_d + 0.5) / n_phi_d * pi};
+}
+
+bool TableGrid::reachable(const Cell& c, double min_cosine) {
+  const auto cosines = half_angle_cosines(centre(c));
+  return std::min(cosines.n_dot_i, cosines.n_dot_o) > min_cosine;
+}
+
+TableChannel::TableChannel()
+    : mean(TableGrid::n_cells),
+      variance(TableGrid::n_cells),
+      count(TableGrid::n_cells),
+      theta_h(TableGrid::n_cells),
+      theta_d(TableGrid::n_cells),
+      phi_d(TableGrid::n_cells),
+      origin(TableGrid::n_cells, CellOrigin::empty) {}
+
+HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine) {
+  HalfAngleTable table(3);
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, TableGrid::n_cells), [&](const auto& range) {
+    for (std::size_t i = range.begin(); i != range.end(); ++i) {
+      const HalfDiff centre = TableGrid::centre(i);
+      const Directions d = directions(centre);
+      if (std::min(d.wi.z, d.wo.z) <= min_cosine) continue;
+      const auto f = brdf.value(d);
+      if (!f) continue;
+      for (std::size_t channel = 0; channel < 3; ++channel) {
+        auto& t = table.channels[channel];
+        t.mean[i] = static_cast<float>((*f)[static_cast<int>(channel)]);
+        t.count[i] = 1;
+        t.theta_h[i] = static_cast<float>(centre.theta_h);
+        t.theta_d[i] = static_cast<float>(centre.theta_d);
+        t.phi_d[i] = static_cast<float>(centre.phi_d);
+        t.origin[i] = CellOrigin::measured;
+      }
+    }
+  });
+  return table;
+}
+
+TableAccumulator::TableAccumulator(std::size_t n_channels) : sums_(n_channels, std::vector<Sums>(TableGrid::n_cells)) {}
+
+void TableAccumulator::add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight) {
+  assert(weight > 0 && std::isfinite(value) && variance >= 0);
+  const TableGrid::Cell cell = TableGrid::cell(c);
+  const HalfDiff centre = TableGrid::centre(cell);
+  Sums& s = sums_[channel][TableGrid::index(cell)];
+  s.weight += weight;
+  s.weighted_value += weight * value;
+  s.weighted_variance += weight * weight * variance;
+  s.theta_h += static_cast<float>(weight * (c.theta_h - centre.theta_h));
+  s.theta_d += static_cast<float>(weight * (c.theta_d - centre.theta_d));
+  s.phi_d += static_cast<float>(weight * (fold_phi_d(c.phi_d) - centre.phi_d));
+  ++s.count;
+  ++n_samples_;
+}
+
+HalfAngleTable TableAccumulator::table(bool symmetrise) const {
+  HalfAngleTable table(sums_.size());
+  for (std::size_t channel = 0; channel < sums_.size(); ++channel) {
+    auto& t = table.channels[channel];
+    for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
+      const Sums& s = sums_[channel][i];
+      if (s.count == 0) continue;
+      const HalfDiff centre = TableGrid::centre(i);
+      t.mean[i] = static_cast<float>(s.weighted_value / s.weight);
+      t.variance[i] = static_cast<float>(s.weighted_variance / (s.weight * s.weight));
+      t.count[i] = s.count;
+      t.theta_h[i] = static_cast<float>(centre.theta_h + s.theta_h / s.weight);
+      t.theta_d[i] = static_cast<float>(centre.theta_d + s.theta_d / s.weight);
+      t.phi_d[i] = static_cast<float>(centre.phi_d + s.phi_d / s.weight);
+      t.origin[i] = CellOrigin::measured;
+    }
+    if (!symmetrise) continue;
+    for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
+      if (t.origin[i] != CellOrigin::empty) continue;
+      TableGrid::Cell mirror = TableGrid::cell(i);
+      mirror.phi_d = TableGrid::n_phi_d - 1 - mirror.phi_d;
+      const std::size_t j = TableGrid::index(mirror);
+      if (t.origin[j] != CellOrigin::measured) continue;
+      t.mean[i] = t.mean[j];
+      t.variance[i] = t.variance[j];
+      t.count[i] = t.count[j];
+      t.theta_h[i] = t.theta_h[j];
+      t.theta_d[i] = t.theta_d[j];
+      t.phi_d[i] = static_cast<float>(pi) - t.phi_d[j];
+      t.origin[i] = CellOrigin::symmetric;
+    }
+  }
+  return table;
+}
+
+TableBrdf::TableBrdf(HalfAngleTable table, std::string description, bool interpolate)
+    : table_(std::move(table)), description_(std::move(description)), interpolate_(interpolate) {}
+
+std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d) const {
+  const HalfDiff c = half_diff(d);
+  const std::size_t nearest = TableGrid::index(c);
+  glm::dvec3 result(0.0);
+  const double h = theta_h_coordinate(c.theta_h) - 0.5;
+  const double t = c.theta_d / half_pi * TableGrid::n_theta_d - 0.5;
+  const double p = fold_phi_d(c.phi_d) / pi * TableGrid::n_phi_d - 0.5;
+  const int h0 = static_cast<int>(std::floor(h)), t0 = static_cast<int>(std::floor(t)), p0 = static_cast<int>(std::floor(p));
+
+  for (std::size_t channel = 0; channel < table_.channels.size(); ++channel) {
+    const auto& values = table_.channels[channel];
+    if (values.origin[nearest] == CellOrigin::empty) return std::nullopt;
+    double sum = 0, weights = 0;
+    for (int corner = 0; interpolate_ && corner < 8; ++corner) {
+      const int dh = corner & 1, dt = (corner >> 1) & 1, dp = corner >> 2;
+      const double weight = (dh ? h - h0 : 1 - (h - h0)) * (dt ? t - t0 : 1 - (t - t0)) * (dp ? p - p0 : 1 - (p - p0));
+      if (weight <= 0) continue;
+      // theta beyond the first or last centre: constant; phi_d wraps by reciprocity.
+      const TableGrid::Cell cell{std::clamp(h0 + dh, 0, TableGrid::n_theta_h - 1), std::clamp(t0 + dt, 0, TableGrid::n_theta_d - 1),
+                                 (p0 + dp + TableGrid::n_phi_d) % TableGrid::n_phi_d};
+      const std::size_t i = TableGrid::index(cell);
+      if (values.origin[i] == CellOrigin::empty) continue;
+      sum += weight * values.mean[i];
+      weights += weight;
+    }
+    result[static_cast<int>(channel)] = weights > 0 ? sum / weights : values.mean[nearest];
+  }
+  if (table_.channels.size() == 1) result = glm::dvec3(result.x);
+  return result;
+}
+
+}  // namespace lacquer::brdf

@@ -1,0 +1,117 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "libbrdf/brdf.h"
+#include "libbrdf/directions.h"
+
+namespace lacquer::brdf {
+
+/// Grid of the half-angle table, MERL's: theta_h cells with edges (i/n)^2 * 90 deg (narrow at the peak), theta_d linear over
+/// 0..90 deg, phi_d linear over [0, pi) (reciprocity folds phi_d and phi_d + pi together).
+struct TableGrid {
+  static constexpr int n_theta_h = 90;
+  static constexpr int n_theta_d = 90;
+  static constexpr int n_phi_d = 180;
+  static constexpr std::size_t n_cells = std::size_t{n_theta_h} * n_theta_d * n_phi_d;
+
+  struct Cell {
+    int theta_h, theta_d, phi_d;
+  };
+
+  /// MERL's order: phi_d fastest, then theta_d, then theta_h.
+  static std::size_t index(const Cell& c) {
+    return static_cast<std::size_t>(c.phi_d) +
+           n_phi_d * (static_cast<std::size_t>(c.theta_d) + std::size_t{n_theta_d} * static_cast<std::size_t>(c.theta_h));
+  }
+  static Cell cell(std::size_t index);
+
+  /// Cell of coordinates with theta_h, theta_d in [0, pi/2] and any phi_d.
+  static Cell cell(const HalfDiff& c);
+  static std::size_t index(const HalfDiff& c) { return index(cell(c)); }
+
+  static double theta_h_edge(int i);         ///< lower edge of cell i, radians; i = n_theta_h: pi/2
+  static HalfDiff centre(const Cell& c);     ///< theta_h centre is ((i+0.5)/n)^2 * 90 deg, as MERL readers expect
+  static HalfDiff centre(std::size_t index) { return centre(cell(index)); }
+
+  /// Both directions at the cell's centre are above the horizon: smaller cosine > `min_cosine`.
+  static bool reachable(const Cell& c, double min_cosine = 0.0);
+};
+
+/// Where a cell's value comes from. Only `measured` and `symmetric` cells may enter a fit.
+enum class CellOrigin : std::uint8_t {
+  empty = 0,
+  measured = 1,   ///< samples fell into this cell
+  symmetric = 2,  ///< taken from the mirror cell phi_d -> pi - phi_d (isotropic, mirror-symmetric paint)
+  filled = 3,     ///< interpolated from neighbours
+  modelled = 4,   ///< from a fit
+};
+
+/// One colour channel of a table, each vector of length TableGrid::n_cells; entries of empty cells are 0.
+struct TableChannel {
+  std::vector<float> mean;          ///< 1/sr; may be negative where the signal is below the noise
+  std::vector<float> variance;      ///< of the mean, (1/sr)^2; 0 means exact (synthetic)
+  std::vector<std::uint32_t> count; ///< samples in the cell
+  std::vector<float> theta_h, theta_d, phi_d;  ///< weighted mean coordinates of the samples, radians, phi_d in [0, pi)
+  std::vector<CellOrigin> origin;
+
+  TableChannel();
+};
+
+/// Half-angle BRDF table 90 x 90 x 180 after Rusinkiewicz 1998 and Günther et al. 2005, 4.1.
+struct HalfAngleTable {
+  std::vector<TableChannel> channels;  ///< 1 (Y) or 3 (R, G, B)
+  bool absolute_scale = true;          ///< false: values are relative, no reference of known reflectance was used
+  std::string provenance_json = "{}";  ///< command line, versions, input checksums, seed, units, colour space
+
+  explicit HalfAngleTable(std::size_t n_channels = 3) : channels(n_channels) {}
+};
+
+/// Noise-free table of a BRDF evaluated at the cell centres, cells with a cosine <= `min_cosine` left empty. For tests and conversion.
+HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine = 0.0);
+
+/// Adds samples one after the other; sums are double, coordinates relative to the cell's centre. Deterministic for a given order.
+class TableAccumulator {
+ public:
+  explicit TableAccumulator(std::size_t n_channels);
+
+  /// One measurement of f_r. `weight`: proportional to the irradiance at the pixel (cosine included), so that the cell's value is
+  /// the ratio of summed radiance to summed irradiance, which is unbiased whatever the noise. `variance` of `value`, (1/sr)^2.
+  void add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight);
+
+  /// Mirror symmetry f(phi_d) = f(pi - phi_d): with `symmetrise`, empty cells take the mirror cell's value, flagged `symmetric`.
+  HalfAngleTable table(bool symmetrise) const;
+
+  std::size_t n_samples() const { return n_samples_; }
+
+ private:
+  struct Sums {
+    double weight = 0, weighted_value = 0, weighted_variance = 0;  // of w, w*f, w^2*var
+    float theta_h = 0, theta_d = 0, phi_d = 0;                      // of w * (coordinate - centre)
+    std::uint32_t count = 0;
+  };
+  std::vector<std::vector<Sums>> sums_;
+  std::size_t n_samples_ = 0;
+};
+
+/// Table behind the common interface. Lookup: trilinear in (theta_h index, theta_d, phi_d) over the non-empty corner cells,
+/// nullopt where the nearest cell is empty.
+class TableBrdf final : public Brdf {
+ public:
+  TableBrdf(HalfAngleTable table, std::string description, bool interpolate = true);
+  const HalfAngleTable& table() const { return table_; }
+  std::string description() const override { return description_; }
+
+ private:
+  std::optional<glm::dvec3> do_value(const Directions& d) const override;
+  HalfAngleTable table_;
+  std::string description_;
+  bool interpolate_;
+};
+
+}  // namespace lacquer::brdf

@@ -1,0 +1,55 @@
+#include <csignal>
+#include <iostream>
+
+#include "libbrdf/error.h"
+#include "libbrdf/files.h"
+#include "tools/command.h"
+
+namespace {
+
+std::string join_arguments(int argc, char** argv) {
+  std::string line = "lacquer";
+  for (int i = 1; i < argc; ++i) line += std::string(" ") + argv[i];
+  return line;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  using namespace lacquer;
+  CLI::App app{"Lacquer: from a painted sphere on a turntable to a BRDF with error bars", "lacquer"};
+  app.set_version_flag("--version", std::string("lacquer ") + brdf::version());
+  app.require_subcommand(1);
+  app.fallthrough();
+
+  tools::Context context;
+  context.command_line = join_arguments(argc, argv);
+  app.add_flag("-q,--quiet", context.quiet, "no progress and no notes on stderr, errors only");
+
+  tools::add_measure(app, context);
+  tools::add_capture(app, context);
+  tools::add_merge(app, context);
+  tools::add_calibrate(app, context);
+  tools::add_tabulate(app, context);
+  tools::add_fit(app, context);
+  tools::add_eval(app, context);
+  tools::add_compare(app, context);
+  tools::add_rerender(app, context);
+
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? 0 : 2;
+  } catch (const Error& e) {
+    std::cerr << "lacquer: " << e.what() << "\n";
+    switch (e.code()) {
+      case ErrorCode::usage: return 2;
+      case ErrorCode::interrupted: return 130;
+      default: return 1;
+    }
+  } catch (const std::exception& e) {
+    std::cerr << "lacquer: internal error: " << e.what() << "\n";
+    return 1;
+  }
+  return 0;
+}
