@@ -1,0 +1,1 @@
+#include "libacquire/devices.h"

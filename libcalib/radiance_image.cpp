@@ -1,0 +1,1 @@
+#include "libcalib/radiance_image.h"

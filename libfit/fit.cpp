@@ -1,0 +1,1 @@
+#include "libfit/fit.h"
