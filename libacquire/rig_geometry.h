@@ -21,13 +21,14 @@ struct RigidTransform {
   RigidTransform inverse() const;
 };
 
-/// Line of sight in the camera frame: points origin + t * direction, t > 0; direction is a unit vector.
+/// Line of sight in the camera frame: points origin + t * direction; direction is a unit vector. Pinhole: t > 0.
 struct Ray {
   glm::dvec3 origin;
   glm::dvec3 direction;
 };
 
-/// Pinhole with OpenCV distortion (k1 k2 p1 p2 k3 k4 k5 k6, the rational model: LENSMODEL_OPENCV8 of mrcal), or orthographic.
+/// Pinhole with OpenCV distortion (k1 k2 p1 p2 k3 k4 k5 k6, the rational model: LENSMODEL_OPENCV8 of mrcal), or orthographic
+/// (a distant camera: no distortion, and a point is seen whatever its depth).
 struct CameraModel {
   enum class Projection { pinhole, orthographic };
   Projection projection = Projection::pinhole;
@@ -37,9 +38,10 @@ struct CameraModel {
   glm::dvec2 centre{0.0};        ///< principal point, pixels
   std::array<double, 8> distortion{};
 
-  /// Pixel of a point in the camera frame; nullopt behind a pinhole camera.
+  /// Pixel of a point in the camera frame; nullopt behind a pinhole camera and beyond a pole of the distortion.
   std::optional<glm::dvec2> project(const glm::dvec3& p_cam) const;
-  /// Inverse of project (Newton iteration to 1e-12 of the normalised coordinates). nullopt where the distortion cannot be inverted.
+  /// Inverse of project (Newton iteration to 1e-12 of the normalised coordinates). nullopt where the distortion cannot be inverted:
+  /// beyond the radius where it folds the image over.
   std::optional<Ray> unproject(const glm::dvec2& pixel) const;
 };
 
@@ -74,7 +76,8 @@ struct RigGeometry {
   glm::dvec3 axis_point{0.0};              ///< a point on it, metres, rig frame
   std::vector<Light> lights;
 
-  /// Light `index` with the turntable at `angle` (radians, right-handed about axis_direction).
+  /// Light `index` with the turntable at `angle` (radians, right-handed about axis_direction). At angle 0 a near light is aimed at
+  /// the origin; the arm carries position and aim rigidly. Throws std::out_of_range.
   PlacedLight place_light(std::size_t index, double angle) const;
 };
 
@@ -85,7 +88,8 @@ struct SurfacePoint {
   glm::dvec3 wo;        ///< unit, towards the camera, rig frame
 };
 
-/// First intersection of the line of sight of `pixel` (any sub-pixel position) with the sphere; nullopt: it misses.
+/// First intersection of the line of sight of `pixel` (any sub-pixel position) with the sphere; nullopt: it misses, or the sphere is
+/// behind or around a pinhole camera.
 std::optional<SurfacePoint> trace(const RigGeometry& rig, const glm::dvec2& pixel);
 
 struct Illumination {
@@ -93,7 +97,8 @@ struct Illumination {
   glm::dvec3 irradiance;  ///< per channel, cosine included, W/m^2; > 0
 };
 
-/// Irradiance at a surface point from a point of the light (`offset`: metres in the emitter's plane); nullopt: shadowed side.
+/// Irradiance at a surface point from a point of the light (`offset`: metres in the emitter's plane, which is normal to its axis);
+/// nullopt: shadowed side. Near: E = I cos^g(angle off axis) cos(theta_i) / d^2; distant: E = intensity cos(theta_i).
 std::optional<Illumination> illuminate(const PlacedLight& light, const SurfacePoint& point, const glm::dvec2& offset = glm::dvec2(0.0));
 
 /// The two directions in the shading frame of `point` (z = normal).
@@ -102,7 +107,7 @@ struct LocalDirections {
 };
 LocalDirections to_shading_frame(const SurfacePoint& point, const glm::dvec3& wi);
 
-/// Camera pose that looks from `position` at `target` with `up` upwards in the image.
+/// Camera pose (cam_from_rig) that looks from `position` at `target` with `up` upwards in the image. Throws Error{input}.
 RigidTransform look_at(const glm::dvec3& position, const glm::dvec3& target, const glm::dvec3& up);
 
 }  // namespace lacquer::acquire
