@@ -11,7 +11,8 @@ namespace lacquer::acquire {
 class Camera {
  public:
   virtual ~Camera() = default;
-  /// Blocks for one NEW frame (never a queued one); the settings in the frame are as read back. Throws Error {usage, device, timeout}.
+  /// Blocks for one NEW frame (never a queued one); the settings in the frame are as read back. Throws Error {usage, device, timeout};
+  /// usage: the exposure is not finite and > 0 or the gain is not finite; device: the back end returned an impossible frame.
   RawFrame capture(const CaptureSettings& asked);
   virtual std::string description() const = 0;  ///< model and serial number
 
@@ -37,7 +38,7 @@ class Turntable {
 class LightSwitch {
  public:
   virtual ~LightSwitch() = default;
-  /// Switches light `index` on (all others off) and waits until it has settled.
+  /// Switches light `index` on (all others off) and waits until it has settled. Throws Error {usage, device, timeout}.
   void on(int index);
   /// All off; called on every exit, never throws.
   virtual void off() noexcept = 0;
@@ -48,7 +49,7 @@ class LightSwitch {
   virtual void do_on(int index) = 0;
 };
 
-/// The devices of one rig. On destruction: lights off, motor held.
+/// The devices of one rig. On destruction, and before other devices are moved in: lights off, motor held.
 struct Rig {
   std::unique_ptr<Turntable> turntable;
   std::unique_ptr<LightSwitch> lights;
@@ -56,8 +57,11 @@ struct Rig {
 
   Rig() = default;
   Rig(Rig&&) = default;
-  Rig& operator=(Rig&&) = default;
+  Rig& operator=(Rig&& other) noexcept;
   ~Rig();
+
+  /// Lights off, motor held; devices that are not there are skipped.
+  void make_safe() noexcept;
 };
 
 }  // namespace lacquer::acquire
