@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -36,8 +38,11 @@ struct RawFrame {
 };
 
 /// Reads an 8- or 16-bit PNG, TIFF, PGM/PPM or JPEG. A single-channel file takes `single_channel_layout`, a three-channel file is rgb.
-/// Throws Error{file} naming the file.
+/// Values stay as they are (right-aligned); one that needs more than `bits` bits is an error that names the pixel.
+/// Throws Error{file} naming the file: missing, truncated, damaged, alpha, palette, fewer bits stored than expected.
 RawFrame read_frame(const std::string& file, int bits, PixelLayout single_channel_layout);
+/// The same from the file's content; `name` is used for messages.
+RawFrame decode_frame(std::span<const std::byte> bytes, const std::string& name, int bits, PixelLayout single_channel_layout);
 /// Uncompressed TIFF, 8 bit if frame.bits == 8, else 16 bit; temporary name, then rename. Returns the checksum of the file.
 std::string write_frame(const std::string& file, const RawFrame& frame);
 
