@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "libacquire/rig_description.h"
+#include "libacquire/session.h"
 #include "libbrdf/directions.h"
 #include "libbrdf/table.h"
 #include "libcalib/calibration.h"
@@ -37,22 +37,43 @@ struct SampleCounts {
 /// Precomputed per-pixel geometry of a session's fixed camera and sphere; one view at a time is turned into samples.
 class Sampler {
  public:
-  /// `mask`: width*height, 0 = not paint; empty: all.
+  /// Throws Error{file} when the mask does not have the camera's size.
   Sampler(const Calibration& calibration, const acquire::MaskDescription& mask, acquire::PixelLayout layout, const SampleOptions& options);
-  ~Sampler();
 
-  /// Samples of one view in pixel order (deterministic), appended to `samples` (cleared first).
-  SampleCounts sample_view(const RadianceImage& image, int light, double turntable_angle, std::vector<Sample>& samples) const;
+  /// Called with consecutive pieces of a view's samples, in pixel order whatever the number of threads.
+  using Sink = std::function<void(std::span<const Sample>)>;
 
-  /// Radiance (linearised DN/s) that `paint` would give in each value of the image, NaN-free; 0 where there is no usable sample.
-  std::vector<float> predict_view(const brdf::Brdf& paint, int light, double turntable_angle) const;
+  /// Samples of one view, computed in parallel, delivered in order. Clipped and invalid values are counted, not delivered.
+  SampleCounts sample_view(const RadianceImage& image, std::size_t light, double turntable_angle, const Sink& sink) const;
+
+  /// Radiance (linearised DN per second) that `paint` would give in each value of the image; 0 where sample_view would give no
+  /// sample for geometric reasons, or `paint` says nothing. `used`: the geometry is usable and the paint defined.
+  struct Prediction {
+    std::vector<float> radiance;
+    std::vector<bool> used;
+  };
+  Prediction predict_view(const brdf::Brdf& paint, std::size_t light, double turntable_angle) const;
 
  private:
-  struct Pixel;
-  const Calibration& calibration_;
+  struct Pixel {
+    std::size_t index;  ///< y * width + x
+    acquire::SurfacePoint point;
+    double transmission;  ///< of the lens there: 1 - vignetting
+  };
+  std::size_t n_masked_ = 0;
+  Calibration calibration_;
   acquire::PixelLayout layout_;
   SampleOptions options_;
   std::vector<Pixel> pixels_;
 };
+
+/// Radiance images of a session -> half-angle table, one image in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d
+/// was measured take its value, flagged `symmetric`. Errors{file} from missing radiance images name the file.
+struct Tabulation {
+  brdf::HalfAngleTable table;
+  SampleCounts counts;
+};
+Tabulation tabulate_session(const acquire::Session& session, const Calibration& calibration, const SampleOptions& options,
+                            const Progress& progress);
 
 }  // namespace lacquer::calib

@@ -1,0 +1,90 @@
+#include "libcalib/calibration.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "libbrdf/error.h"
+#include "libbrdf/files.h"
+#include "libcalib/calibration_json.h"
+
+namespace lacquer::calib {
+
+Calibration calibration_from_rig(const acquire::RigDescription& rig) {
+  const auto& sensor = rig.sensor;
+  Calibration c;
+  c.noise.black_level_dn = sensor.black_level_dn;
+  c.noise.gain_e_per_dn = sensor.gain_e_per_dn;
+  c.noise.read_noise_e = sensor.read_noise_e;
+  c.noise.dark_current_e_per_s = sensor.dark_current_e_per_s;
+  const double adc_limit = std::exp2(sensor.bits) - 1;
+  const double full_well_limit =
+      sensor.full_well_e > 0 ? sensor.black_level_dn + sensor.full_well_e / sensor.gain_e_per_dn : adc_limit;
+  c.noise.saturation_dn = std::floor(std::min(adc_limit, full_well_limit));
+  c.noise_source = "rig file";
+
+  c.response = linear_response(sensor.bits, acquire::n_channels(sensor.layout), sensor.black_level_dn);
+  c.response_source = "linear, as the rig file says";
+
+  c.geometry = rig.geometry;
+  c.geometry_source = "rig file";
+  c.dn_per_radiance = sensor.sensitivity / sensor.gain_e_per_dn;
+  c.vignetting = sensor.vignetting;
+  c.absolute_scale = rig.absolute_scale;
+  c.scale_source = rig.absolute_scale ? "rig file" : "none: relative";
+  return c;
+}
+
+void write_calibration(const std::filesystem::path& file, const Calibration& c, const std::string& provenance_json) {
+  nlohmann::ordered_json j;
+  j["version"] = 1;
+  j["provenance"] = nlohmann::ordered_json::parse(provenance_json);
+  j["units"] = "metres, radians, seconds, DN, electrons; camera frame x right y down z forward, rig frame y along the turntable axis";
+  j["response"] = response_to_json(c.response);
+  j["response"]["source"] = c.response_source;
+  j["noise"] = {{"source", c.noise_source},
+                {"black_level_dn", c.noise.black_level_dn},
+                {"gain_e_per_dn", c.noise.gain_e_per_dn},
+                {"read_noise_e", c.noise.read_noise_e},
+                {"dark_current_e_per_s", c.noise.dark_current_e_per_s},
+                {"saturation_dn", c.noise.saturation_dn}};
+  j["geometry"] = geometry_to_json(c.geometry);
+  j["geometry"]["source"] = c.geometry_source;
+  j["scale"] = {{"source", c.scale_source},
+                {"absolute", c.absolute_scale},
+                {"dn_per_radiance", vector_to_json(c.dn_per_radiance)},
+                {"vignetting", c.vignetting}};
+  brdf::write_text_atomically(file, j.dump(1) + "\n");
+}
+
+Calibration read_calibration(const std::filesystem::path& file) {
+  const JsonReader root = JsonReader::parse(brdf::read_text(file), file.string());
+  if (const double version = root.number("version", 0, 1e9); version != 1)
+    throw Error(ErrorCode::file, fmt::format("{}: version: expected 1, got {}", file.string(), version));
+  Calibration c;
+  const JsonReader response = root.object("response");
+  c.response = response_from_json(response);
+  c.response_source = response.text("source");
+
+  const JsonReader noise = root.object("noise");
+  c.noise_source = noise.text("source");
+  c.noise.black_level_dn = noise.number("black_level_dn", 0, 65535);
+  c.noise.gain_e_per_dn = noise.number("gain_e_per_dn", 1e-9, 1e9);
+  c.noise.read_noise_e = noise.number("read_noise_e", 0, 1e9);
+  c.noise.dark_current_e_per_s = noise.number("dark_current_e_per_s", 0, 1e9);
+  c.noise.saturation_dn = noise.number("saturation_dn", 1, 65535);
+
+  const JsonReader geometry = root.object("geometry");
+  c.geometry = geometry_from_json(geometry);
+  c.geometry_source = geometry.text("source");
+
+  const JsonReader scale = root.object("scale");
+  c.scale_source = scale.text("source");
+  c.absolute_scale = scale.boolean("absolute");
+  c.dn_per_radiance = scale.vector3("dn_per_radiance", 1e-30, 1e30);
+  c.vignetting = scale.number("vignetting", 0, 0.999);
+  return c;
+}
+
+}  // namespace lacquer::calib

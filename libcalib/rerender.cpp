@@ -1,0 +1,154 @@
+#include "libcalib/rerender.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "libbrdf/error.h"
+#include "libbrdf/files.h"
+
+namespace lacquer::calib {
+
+namespace {
+
+ViewError view_error(const RadianceImage& image, const Sampler::Prediction& prediction) {
+  ViewError e;
+  double sum_difference2 = 0, sum_measured2 = 0, sum_abs_log = 0, sum_log = 0;
+  std::size_t n_log = 0;
+  for (std::size_t i = 0; i < image.radiance.size(); ++i) {
+    const bool measured_well = image.flags[i] == PixelFlag::valid || image.flags[i] == PixelFlag::dark;
+    if (!prediction.used[i] || !measured_well) continue;
+    const double measured = image.radiance[i], predicted = prediction.radiance[i];
+    sum_difference2 += (predicted - measured) * (predicted - measured);
+    sum_measured2 += measured * measured;
+    ++e.n_values;
+    if (measured > 5 * std::sqrt(image.variance[i]) && predicted > 0) {
+      const double ratio = std::log(predicted / measured);
+      sum_log += ratio;
+      sum_abs_log += std::abs(ratio);
+      ++n_log;
+    }
+  }
+  if (sum_measured2 > 0) e.relative_rms = std::sqrt(sum_difference2 / sum_measured2);
+  if (n_log > 0) {
+    e.mean_abs_log = sum_abs_log / static_cast<double>(n_log);
+    e.bias_log = sum_log / static_cast<double>(n_log);
+  }
+  return e;
+}
+
+/// Linear values per pixel in B, G, R; a mosaic is shown at half size (one 2 x 2 block = one pixel: shown, never measured from).
+cv::Mat to_bgr(const std::vector<float>& values, const RadianceImage& shape, const glm::dvec3& white_balance) {
+  const bool mosaic = acquire::n_channels(shape.layout) == 3 && acquire::values_per_pixel(shape.layout) == 1;
+  const int step = mosaic ? 2 : 1;
+  cv::Mat picture(shape.height / step, shape.width / step, CV_32FC3, cv::Scalar::all(0));
+  const int per_pixel = acquire::values_per_pixel(shape.layout);
+  for (int y = 0; y < picture.rows; ++y)
+    for (int x = 0; x < picture.cols; ++x) {
+      cv::Vec3f sum(0, 0, 0), count(0, 0, 0);
+      for (int dy = 0; dy < step; ++dy)
+        for (int dx = 0; dx < step; ++dx)
+          for (int k = 0; k < per_pixel; ++k) {
+            const int channel = acquire::channel_of(shape.layout, x * step + dx, y * step + dy, k);
+            const auto i = (static_cast<std::size_t>(y * step + dy) * shape.width + (x * step + dx)) * per_pixel + k;
+            sum[2 - channel] += values[i];
+            count[2 - channel] += 1;
+          }
+      for (int c = 0; c < 3; ++c)
+        if (count[c] > 0) picture.at<cv::Vec3f>(y, x)[c] = static_cast<float>(sum[c] / count[c] / white_balance[2 - c]);
+      if (acquire::n_channels(shape.layout) == 1) picture.at<cv::Vec3f>(y, x) = cv::Vec3f::all(picture.at<cv::Vec3f>(y, x)[2]);
+    }
+  return picture;
+}
+
+float srgb_code(float linear) {
+  const float x = std::clamp(linear, 0.0f, 1.0f);
+  return x <= 0.0031308f ? 12.92f * x : 1.055f * std::pow(x, 1 / 2.4f) - 0.055f;
+}
+
+/// Photograph, re-rendering and difference side by side, cropped to the sphere, 8-bit.
+cv::Mat picture_row(const RadianceImage& image, const Sampler::Prediction& prediction, const Calibration& calibration,
+                    const std::string& label) {
+  std::vector<float> photograph(image.radiance.size()), rendering(image.radiance.size());
+  for (std::size_t i = 0; i < photograph.size(); ++i)
+    if (prediction.used[i]) photograph[i] = image.radiance[i], rendering[i] = prediction.radiance[i];
+  const glm::dvec3 balance = calibration.dn_per_radiance / calibration.dn_per_radiance.y * calibration.geometry.lights[0].intensity /
+                             calibration.geometry.lights[0].intensity.y;
+  cv::Mat a = to_bgr(photograph, image, balance), b = to_bgr(rendering, image, balance);
+
+  std::vector<float> lit;
+  std::vector<cv::Point> covered;
+  for (int y = 0; y < a.rows; ++y)
+    for (int x = 0; x < a.cols; ++x) {
+      const float green = a.at<cv::Vec3f>(y, x)[1];
+      if (green != 0) lit.push_back(green), covered.emplace_back(x, y);
+    }
+  float white = 1;
+  if (!lit.empty()) {
+    const auto nth = lit.begin() + static_cast<std::ptrdiff_t>(0.97 * static_cast<double>(lit.size() - 1));
+    std::nth_element(lit.begin(), nth, lit.end());
+    white = std::max(*nth * 1.25f, 1e-30f);
+    const cv::Rect box = cv::boundingRect(covered);
+    a = a(box);
+    b = b(box);
+  }
+  cv::Mat row(a.rows, a.cols * 3, CV_8UC3);
+  for (int y = 0; y < a.rows; ++y)
+    for (int x = 0; x < a.cols; ++x) {
+      const cv::Vec3f p = a.at<cv::Vec3f>(y, x) / white, q = b.at<cv::Vec3f>(y, x) / white;
+      const float d = std::clamp((q[0] + q[1] + q[2] - p[0] - p[1] - p[2]) / 3 / 0.25f, -1.0f, 1.0f);
+      for (int c = 0; c < 3; ++c) {
+        row.at<cv::Vec3b>(y, x)[c] = cv::saturate_cast<uchar>(255 * srgb_code(p[c]));
+        row.at<cv::Vec3b>(y, x + a.cols)[c] = cv::saturate_cast<uchar>(255 * srgb_code(q[c]));
+      }
+      row.at<cv::Vec3b>(y, x + 2 * a.cols) = d >= 0 ? cv::Vec3b(cv::saturate_cast<uchar>(128 - 128 * d), cv::saturate_cast<uchar>(128 - 128 * d), cv::saturate_cast<uchar>(128 + 127 * d))
+                                                    : cv::Vec3b(cv::saturate_cast<uchar>(128 - 127 * d), cv::saturate_cast<uchar>(128 + 128 * d), cv::saturate_cast<uchar>(128 + 128 * d));
+    }
+  constexpr int row_width = 960;
+  cv::resize(row, row, cv::Size(row_width, std::max(1, row.rows * row_width / row.cols)), 0, 0,
+             row.cols < row_width ? cv::INTER_LINEAR : cv::INTER_AREA);
+  cv::copyMakeBorder(row, row, 26, 4, 0, 0, cv::BORDER_CONSTANT, cv::Scalar::all(255));
+  cv::putText(row, label, {4, 18}, cv::FONT_HERSHEY_SIMPLEX, 0.5, cv::Scalar::all(0), 1, cv::LINE_AA);
+  return row;
+}
+
+}  // namespace
+
+std::vector<ViewError> rerender_session(const acquire::Session& session, const Calibration& calibration, const brdf::Brdf& paint,
+                                        const RerenderOptions& options, const std::filesystem::path& picture, const Progress& progress) {
+  const Sampler sampler(calibration, session.rig.mask, session.rig.sensor.layout, options.samples);
+  const std::size_t n_views = session.views.size();
+  const std::size_t n_pictured = std::min<std::size_t>(n_views, static_cast<std::size_t>(std::max(options.n_pictured, 0)));
+  std::vector<ViewError> errors;
+  std::vector<cv::Mat> rows;
+  for (std::size_t i = 0; i < n_views; ++i) {
+    const auto& view = session.views[i];
+    const RadianceImage image = read_radiance(session.radiance_path(view));
+    const auto prediction = sampler.predict_view(paint, static_cast<std::size_t>(view.light), view.turntable_angle);
+    if (prediction.radiance.size() != image.radiance.size())
+      throw Error(ErrorCode::input, fmt::format("{}: size or layout differs from the session's camera", session.radiance_path(view).string()));
+    errors.push_back(view_error(image, prediction));
+    errors.back().view = view.id;
+    // The centre of each of n_pictured equal parts of the session.
+    const std::size_t row = rows.size();
+    if (!picture.empty() && row < n_pictured && i == (2 * row + 1) * n_views / (2 * n_pictured)) {
+      const std::string label = fmt::format("{}: photograph | re-rendering | difference (+-25 % of white)   rel. RMS {:.1f} %", view.id,
+                                            100 * errors.back().relative_rms);
+      rows.push_back(picture_row(image, prediction, calibration, label));
+    }
+    if (progress) progress("re-render", i + 1, n_views);
+  }
+  if (!rows.empty()) {
+    cv::Mat all;
+    cv::vconcat(rows, all);
+    std::vector<uchar> png;
+    cv::imencode(".png", all, png);
+    brdf::write_text_atomically(picture, std::string(png.begin(), png.end()));
+  }
+  return errors;
+}
+
+}  // namespace lacquer::calib

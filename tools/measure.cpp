@@ -1,0 +1,92 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <memory>
+
+#include "libacquire/rig_description.h"
+#include "libbrdf/brdf.h"
+#include "libbrdf/error.h"
+#include "libbrdf/metrics.h"
+#include "tools/command.h"
+#include "tools/measure_chain.h"
+#include "tools/report_page.h"
+#include "tools/summary.h"
+
+namespace lacquer::tools {
+
+namespace {
+
+struct Options {
+  std::string rig, paint, data, session;
+  double max_theta_deg = 85;
+  MeasureOptions measure;
+};
+
+/// Median and worst error of the re-rendered photographs.
+std::string rerender_text(std::vector<calib::ViewError> errors) {
+  if (errors.empty()) return "";
+  std::sort(errors.begin(), errors.end(), [](const auto& a, const auto& b) { return a.relative_rms < b.relative_rms; });
+  return fmt::format("photographs re-rendered from the fit: relative RMS {:.2f} % median, {:.2f} % worst ({})",
+                     100 * errors[errors.size() / 2].relative_rms, 100 * errors.back().relative_rms, errors.back().view);
+}
+
+std::string stage_text(const Measurement& m) {
+  std::string text = fmt::format("{} views, {} frames.", m.n_views, m.n_frames);
+  double total = 0;
+  for (const auto& [stage, seconds] : m.seconds) {
+    text += fmt::format(" {} {:.2f} s,", stage, seconds);
+    total += seconds;
+  }
+  return text + fmt::format(" total {:.2f} s", total);
+}
+
+void run(const Options& options, const Context& context) {
+  const std::filesystem::path folder = options.session;
+  const acquire::RigDescription rig = acquire::read_rig(options.rig, options.data);
+  const bool simulated = rig.kind == acquire::RigDescription::Kind::simulated;
+  std::shared_ptr<const brdf::Brdf> paint;
+  if (simulated) paint = brdf::load_brdf(options.paint.empty() ? rig.simulation.paint : std::filesystem::path(options.paint));
+  if (!simulated && !options.paint.empty()) throw Error(ErrorCode::usage, "--paint: only a simulated rig can be given a paint");
+
+  MeasureOptions measure_options = options.measure;
+  measure_options.samples.min_cosine = cosine_of_degrees("--max-theta-deg", options.max_theta_deg);
+  measure_options.command_line = context.command_line;
+  measure_options.provenance_json = provenance_json(context, {options.rig});
+  const Measurement m = measure(rig, paint, folder, measure_options, stderr_progress(context));
+
+  // The truth enters here, for the final comparison, and nowhere before.
+  const auto* truth = dynamic_cast<const brdf::CookTorranceBrdf*>(paint.get());
+  std::optional<brdf::BrdfDifference> against_truth;
+  if (paint) {
+    brdf::CompareOptions compare_options;
+    compare_options.scale = !m.tabulation.table.absolute_scale;
+    against_truth = brdf::compare(*paint, brdf::CookTorranceBrdf(m.fit.model), compare_options);
+  }
+  fmt::print("{}\n\n", coverage_text(m.tabulation));
+  fmt::print("{}\n", parameter_table(m.fit, truth ? &truth->model() : nullptr));
+  fmt::print("scale: {}\n", m.tabulation.table.absolute_scale ? "absolute, 1/sr" : "relative (no reference of known reflectance)");
+  fmt::print("fit to the table: mean |ln(fit/table)| {:.5f} over {} cells, chi2/n {:.2f}{}\n", m.fit.mean_abs_log, m.fit.n_cells,
+             m.fit.reduced_chi2, m.fit.converged ? "" : "; the solver did NOT converge: " + m.fit.message);
+  fmt::print("{}\n", rerender_text(m.view_errors));
+  if (against_truth) fmt::print("\nfit against the truth ({}):\n{}", paint->description(), difference_text(*against_truth));
+  fmt::print("\n{}\n", stage_text(m));
+  write_report(folder, rig, m, truth ? &truth->model() : nullptr, against_truth);
+  fmt::print("session: {}\nreport: {}\n", folder.string(), (folder / "report.html").string());
+}
+
+}  // namespace
+
+void add_measure(CLI::App& app, Context& context) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("measure", "the whole chain: capture, merge, tabulate, fit, report");
+  command->add_option("rig", options->rig, "rig description (TOML)")->required();
+  command->add_option("-o,--output", options->session, "session folder to create")->required();
+  command->add_option("--paint", options->paint, "BRDF file that a simulated rig photographs (default: the rig file's)");
+  command->add_option("--data", options->data, "folder of a replay rig's photographs (default: the rig file's)");
+  command->add_option("--lobes", options->measure.fit.n_lobes, "lobes to fit")->capture_default_str()->check(CLI::Range(0, 5));
+  command->add_option("--max-theta-deg", options->max_theta_deg, "leave out light and camera directions beyond this")->capture_default_str();
+  command->callback([options, &context] { run(*options, context); });
+}
+
+}  // namespace lacquer::tools

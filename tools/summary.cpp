@@ -1,0 +1,95 @@
+#include "tools/summary.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "libbrdf/error.h"
+
+namespace lacquer::tools {
+
+namespace {
+
+/// Value with its standard error: as many digits as the first two of the error, e.g. "0.05498 ± 0.00021".
+std::string with_error(double value, double sigma) {
+  if (!(sigma > 0)) return fmt::format("{:.6g}", value);
+  const int decimals = std::clamp(1 - static_cast<int>(std::floor(std::log10(sigma))), 0, 12);
+  return fmt::format("{:.{}f} ± {:.{}f}", value, decimals, sigma, decimals);
+}
+
+/// `text` padded on the right to `width` columns ("±" is two bytes but one column).
+std::string padded(const std::string& text, std::size_t width) {
+  const auto columns = static_cast<std::size_t>(
+      std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
+  return text + std::string(columns < width ? width - columns : 0, ' ');
+}
+
+/// Parameters of a model in the order and with the names of FitResult::parameters.
+std::vector<std::pair<std::string, double>> named_parameters(brdf::CookTorrance model) {
+  std::stable_sort(model.lobes.begin(), model.lobes.end(), [](const auto& a, const auto& b) { return a.m > b.m; });
+  std::vector<std::pair<std::string, double>> named;
+  for (int c = 0; c < 3; ++c) named.emplace_back(fmt::format("kd.{}", "rgb"[c]), model.kd[c]);
+  for (std::size_t i = 0; i < model.lobes.size(); ++i) {
+    for (int c = 0; c < 3; ++c) named.emplace_back(fmt::format("ks{}.{}", i + 1, "rgb"[c]), model.lobes[i].ks[c]);
+    named.emplace_back(fmt::format("m{}", i + 1), model.lobes[i].m);
+    named.emplace_back(fmt::format("r{}", i + 1), model.lobes[i].r);
+  }
+  return named;
+}
+
+}  // namespace
+
+double cosine_of_degrees(const std::string& option, double degrees) {
+  if (!(degrees > 0 && degrees < 90)) throw Error(ErrorCode::usage, fmt::format("{}: expected an angle in (0, 90) degrees, got {}", option, degrees));
+  return std::cos(degrees * 3.14159265358979323846 / 180);
+}
+
+std::string coverage_text(const calib::Tabulation& tabulation) {
+  const auto& counts = tabulation.counts;
+  std::size_t reachable = 0, measured = 0, symmetric = 0;
+  const auto& channel = tabulation.table.channels[tabulation.table.channels.size() / 2];
+  for (std::size_t i = 0; i < brdf::TableGrid::n_cells; ++i) {
+    reachable += brdf::TableGrid::reachable(brdf::TableGrid::cell(i));
+    measured += channel.origin[i] == brdf::CellOrigin::measured;
+    symmetric += channel.origin[i] == brdf::CellOrigin::symmetric;
+  }
+  const auto percent = [&](std::size_t n) { return 100.0 * static_cast<double>(n) / static_cast<double>(reachable); };
+  return fmt::format(
+      "samples: {} used; left out: {} near the horizon or in the light's shadow, {} clipped in every exposure, {} invalid\n"
+      "cells: {:.1f} % of the {} reachable ones measured, {:.1f} % more by mirror symmetry{}",
+      counts.used, counts.grazing, counts.clipped, counts.invalid, percent(measured), reachable, percent(symmetric),
+      tabulation.table.channels.size() == 3 ? " (green channel)" : "");
+}
+
+std::string parameter_table(const fit::FitResult& fit, const brdf::CookTorrance* truth) {
+  std::string text = padded("parameter", 12) + padded("fitted", 26) + (truth ? "truth" : "") + "\n";
+  const auto true_values = truth ? named_parameters(*truth) : std::vector<std::pair<std::string, double>>{};
+  for (const auto& p : fit.parameters) {
+    std::string line = padded(p.name, 12) + padded(with_error(p.value, p.determined ? p.sigma : 0), 26);
+    const auto found = std::find_if(true_values.begin(), true_values.end(), [&](const auto& t) { return t.first == p.name; });
+    if (found != true_values.end()) line += padded(fmt::format("{:.5g}", found->second), 10);
+    if (!p.determined)
+      line += "  not determined by the data";
+    else if (p.at_bound)
+      line += "  at its bound";
+    text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
+  }
+  return text;
+}
+
+std::string difference_text(const brdf::BrdfDifference& d) {
+  std::string text;
+  text += fmt::format("mean |ln ratio|        {:.5f}\n", d.mean_abs_log);
+  text += fmt::format("rms ln ratio           {:.5f}\n", d.rms_log);
+  text += fmt::format("mean ln ratio          {:+.5f}\n", d.bias_log);
+  text += fmt::format("largest |ln ratio|     {:.4f}\n", d.max_abs_log);
+  text += fmt::format("cosine-weighted RMS    {:.4f} %\n", 100 * d.cosine_rms);
+  text += fmt::format("dE2000 of lit sphere   {:.3f} mean, {:.3f} 95th percentile\n", d.delta_e_mean, d.delta_e_p95);
+  text += fmt::format("directions compared    {}", d.n_directions);
+  if (d.n_undefined) text += fmt::format(" ({} where one of the two says nothing)", d.n_undefined);
+  if (d.scale != 1) text += fmt::format("\nscale applied to B     {:.6g}", d.scale);
+  return text + "\n";
+}
+
+}  // namespace lacquer::tools

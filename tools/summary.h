@@ -1,0 +1,24 @@
+#pragma once
+
+#include <string>
+
+#include "libbrdf/metrics.h"
+#include "libcalib/samples.h"
+#include "libfit/fit.h"
+
+/// Texts that several commands print.
+namespace lacquer::tools {
+
+/// cos of an angle given in degrees on the command line; Error{usage} naming `option` unless it lies in (0, 90).
+double cosine_of_degrees(const std::string& option, double degrees);
+
+/// Samples used and left out, cells covered.
+std::string coverage_text(const calib::Tabulation& tabulation);
+
+/// Fitted parameters with standard errors, digits matched to the error; with `truth` a column beside them (lobes by falling m).
+std::string parameter_table(const fit::FitResult& fit, const brdf::CookTorrance* truth);
+
+/// The metrics of `difference`, one per line, with units.
+std::string difference_text(const brdf::BrdfDifference& difference);
+
+}  // namespace lacquer::tools
