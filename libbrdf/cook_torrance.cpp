@@ -23,26 +23,26 @@ glm::dvec3 CookTorrance::value(const HalfAngleCosines<double>& c) const { return
 glm::vec3 CookTorrance::value(const HalfAngleCosines<float>& c) const { return sum_of_lobes(*this, c); }
 
 glm::dvec3 CookTorrance::log_value(const HalfAngleCosines<double>& c) const {
-  std::vector<double> log_lobes;
-  log_lobes.reserve(lobes.size());
-  for (const auto& lobe : lobes) log_lobes.push_back(CookTorranceLobe<double>{lobe.m, lobe.r}.log_value(c));
-
-  glm::dvec3 result;
-  for (int channel = 0; channel < 3; ++channel) {
-    const double log_diffuse = std::log(kd[channel] * std::numbers::inv_pi);
-    double peak = log_diffuse;
-    for (std::size_t i = 0; i < lobes.size(); ++i)
-      peak = std::max(peak, std::log(lobes[i].ks[channel]) + log_lobes[i]);
-    if (!(peak > -std::numeric_limits<double>::infinity())) {
-      result[channel] = peak;
-      continue;
+  // Running log-sum-exp: f = exp(peak) * sum, where `peak` is the largest logarithm met so far.
+  constexpr double minus_infinity = -std::numeric_limits<double>::infinity();
+  glm::dvec3 peak(minus_infinity), sum(0.0);
+  const auto add = [&](int channel, double log_term) {
+    if (log_term == minus_infinity) return;
+    double& p = peak[channel];
+    double& s = sum[channel];
+    if (log_term > p) {
+      s = s * std::exp(p - log_term) + 1;
+      p = log_term;
+    } else {
+      s += std::exp(log_term - p);
     }
-    double sum = std::exp(log_diffuse - peak);
-    for (std::size_t i = 0; i < lobes.size(); ++i)
-      sum += std::exp(std::log(lobes[i].ks[channel]) + log_lobes[i] - peak);
-    result[channel] = peak + std::log(sum);
+  };
+  for (int channel = 0; channel < 3; ++channel) add(channel, std::log(kd[channel] * std::numbers::inv_pi));
+  for (const auto& lobe : lobes) {
+    const double log_lobe = CookTorranceLobe<double>{lobe.m, lobe.r}.log_value(c);
+    for (int channel = 0; channel < 3; ++channel) add(channel, std::log(lobe.ks[channel]) + log_lobe);
   }
-  return result;
+  return peak + glm::dvec3(std::log(sum.x), std::log(sum.y), std::log(sum.z));
 }
 
 }  // namespace lacquer::brdf

@@ -41,9 +41,10 @@ struct CookTorranceLobe {
   template <typename T>
   P operator()(const HalfAngleCosines<T>& c) const {
     using std::exp;
-    const T nh2 = c.n_dot_h * c.n_dot_h;
+    const T inverse_nh2 = T(1) / (c.n_dot_h * c.n_dot_h);
     const P inverse_m2 = T(1) / (m * m);
-    const P distribution = exp(-c.tan2_theta_h * inverse_m2) * inverse_m2 / (nh2 * nh2);
+    // One factor after the other: cos^4 would underflow at grazing in float and make 0 / 0.
+    const P distribution = exp(-c.tan2_theta_h * inverse_m2) * inverse_m2 * inverse_nh2 * inverse_nh2;
     return fresnel(c) * distribution * (geometry_over_cosines(c) * std::numbers::inv_pi_v<T>);
   }
 

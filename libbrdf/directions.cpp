@@ -1,5 +1,6 @@
 #include "libbrdf/directions.h"
 
+#include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <numbers>
@@ -28,7 +29,8 @@ HalfDiff half_diff(const Directions& d) {
   const double cos_h = sum.z / sum_length;
   const double sin_hn = sin_h / sum_length;
   const double along_theta = (difference.x * cos_phi + difference.y * sin_phi) * cos_h - difference.z * sin_hn;
-  const double along_phi = -difference.x * sin_phi + difference.y * cos_phi;
+  // + 0.0 turns a negative zero into 0: atan2(-0, negative) would be -pi, outside the range.
+  const double along_phi = -difference.x * sin_phi + difference.y * cos_phi + 0.0;
   c.phi_d = (along_theta == 0 && along_phi == 0) ? 0.0 : std::atan2(along_phi, along_theta);
   return c;
 }
@@ -49,7 +51,7 @@ HalfAngleCosines<double> half_angle_cosines(const Directions& d) {
   c.n_dot_i = d.wi.z;
   c.n_dot_o = d.wo.z;
   c.n_dot_h = length > 0 ? sum.z / length : 1.0;
-  c.i_dot_h = length / 2;
+  c.i_dot_h = std::min(length / 2, 1.0);  // rounding of wi = wo; Schlick's weight must not become negative
   c.tan2_theta_h = length > 0 ? (sum.x * sum.x + sum.y * sum.y) / (sum.z * sum.z) : 0.0;
   return c;
 }

@@ -8,6 +8,8 @@
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
+#include "libbrdf/error.h"
+
 namespace lacquer::brdf {
 
 namespace {
@@ -16,6 +18,12 @@ constexpr double half_pi = pi / 2;
 
 /// Continuous index of theta_h: cell i covers [i, i+1), its centre is i + 0.5.
 double theta_h_coordinate(double theta_h) { return std::sqrt(std::max(theta_h, 0.0) / half_pi) * TableGrid::n_theta_h; }
+
+/// phi_d as stored: [0, pi) also after rounding to float, whose nearest value to pi lies above pi.
+float stored_phi_d(double phi_d) {
+  static const float largest = std::nextafter(static_cast<float>(pi), 0.0f);
+  return std::clamp(static_cast<float>(phi_d), 0.0f, largest);
+}
 }  // namespace
 
 TableGrid::Cell TableGrid::cell(std::size_t index) {
@@ -24,6 +32,7 @@ TableGrid::Cell TableGrid::cell(std::size_t index) {
 }
 
 TableGrid::Cell TableGrid::cell(const HalfDiff& c) {
+  assert(std::isfinite(c.theta_h) && std::isfinite(c.theta_d) && std::isfinite(c.phi_d));
   const auto clamped = [](double x, int n) { return std::clamp(static_cast<int>(x), 0, n - 1); };
   return {clamped(theta_h_coordinate(c.theta_h), n_theta_h), clamped(c.theta_d / half_pi * n_theta_d, n_theta_d),
           clamped(fold_phi_d(c.phi_d) / pi * n_phi_d, n_phi_d)};
@@ -106,7 +115,7 @@ HalfAngleTable TableAccumulator::table(bool symmetrise) const {
       t.count[i] = s.count;
       t.theta_h[i] = static_cast<float>(centre.theta_h + s.theta_h / s.weight);
       t.theta_d[i] = static_cast<float>(centre.theta_d + s.theta_d / s.weight);
-      t.phi_d[i] = static_cast<float>(centre.phi_d + s.phi_d / s.weight);
+      t.phi_d[i] = stored_phi_d(centre.phi_d + s.phi_d / s.weight);
       t.origin[i] = CellOrigin::measured;
     }
     if (!symmetrise) continue;
@@ -121,7 +130,7 @@ HalfAngleTable TableAccumulator::table(bool symmetrise) const {
       t.count[i] = t.count[j];
       t.theta_h[i] = t.theta_h[j];
       t.theta_d[i] = t.theta_d[j];
-      t.phi_d[i] = static_cast<float>(pi) - t.phi_d[j];
+      t.phi_d[i] = stored_phi_d(pi - static_cast<double>(t.phi_d[j]));
       t.origin[i] = CellOrigin::symmetric;
     }
   }
@@ -129,7 +138,11 @@ HalfAngleTable TableAccumulator::table(bool symmetrise) const {
 }
 
 TableBrdf::TableBrdf(HalfAngleTable table, std::string description, bool interpolate)
-    : table_(std::move(table)), description_(std::move(description)), interpolate_(interpolate) {}
+    : table_(std::move(table)), description_(std::move(description)), interpolate_(interpolate) {
+  const std::size_t n = table_.channels.size();
+  if (n != 1 && n != 3)
+    throw Error(ErrorCode::input, description_ + ": expected a table of 1 or 3 channels, got " + std::to_string(n));
+}
 
 std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d) const {
   const HalfDiff c = half_diff(d);

@@ -75,7 +75,8 @@ struct HalfAngleTable {
 /// Noise-free table of a BRDF evaluated at the cell centres, cells with a cosine <= `min_cosine` left empty. For tests and conversion.
 HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine = 0.0);
 
-/// Adds samples one after the other; sums are double, coordinates relative to the cell's centre. Deterministic for a given order.
+/// Adds samples one after the other; sums of values are double, sums of coordinates are float and relative to the cell's centre.
+/// Deterministic for a given order.
 class TableAccumulator {
  public:
   explicit TableAccumulator(std::size_t n_channels);
@@ -103,6 +104,7 @@ class TableAccumulator {
 /// nullopt where the nearest cell is empty.
 class TableBrdf final : public Brdf {
  public:
+  /// Throws Error{input} unless the table has 1 or 3 channels.
   TableBrdf(HalfAngleTable table, std::string description, bool interpolate = true);
   const HalfAngleTable& table() const { return table_; }
   std::string description() const override { return description_; }
