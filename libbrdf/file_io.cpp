@@ -9,7 +9,7 @@
 #include <cstring>
 #include <fstream>
 
-#include "libbrdf/error.h"
+#include "libbrdf/file_error.h"
 #include "libbrdf/files.h"
 
 namespace lacquer::brdf {
@@ -17,10 +17,6 @@ namespace lacquer::brdf {
 namespace {
 
 namespace fs = std::filesystem;
-
-[[noreturn]] void fail(const fs::path& file, const std::string& what) {
-  throw Error(ErrorCode::file, file.string() + ": " + what);
-}
 
 /// An open file descriptor; closed at the end of its life.
 class Descriptor {
@@ -39,10 +35,10 @@ class Descriptor {
 
 /// Opens a regular file for reading and returns its size. O_NONBLOCK: a FIFO must not block before it is refused.
 std::uint64_t check_regular(const fs::path& file, const Descriptor& in) {
-  if (in.get() < 0) fail(file, fmt::format("cannot be opened: {}", std::strerror(errno)));
+  if (in.get() < 0) fail_file(file, fmt::format("cannot be opened: {}", std::strerror(errno)));
   struct stat status {};
-  if (::fstat(in.get(), &status) != 0) fail(file, fmt::format("cannot be read: {}", std::strerror(errno)));
-  if (!S_ISREG(status.st_mode)) fail(file, S_ISDIR(status.st_mode) ? "is a folder, expected a file" : "is not a regular file");
+  if (::fstat(in.get(), &status) != 0) fail_file(file, fmt::format("cannot be read: {}", std::strerror(errno)));
+  if (!S_ISREG(status.st_mode)) fail_file(file, S_ISDIR(status.st_mode) ? "is a folder, expected a file" : "is not a regular file");
   return static_cast<std::uint64_t>(status.st_size);
 }
 
@@ -52,7 +48,7 @@ std::size_t read_some(const fs::path& file, const Descriptor& in, std::byte* dat
   while (done < size) {
     const ssize_t n = ::read(in.get(), data + done, size - done);
     if (n < 0 && errno == EINTR) continue;
-    if (n < 0) fail(file, fmt::format("cannot be read: {}", std::strerror(errno)));
+    if (n < 0) fail_file(file, fmt::format("cannot be read: {}", std::strerror(errno)));
     if (n == 0) break;
     done += static_cast<std::size_t>(n);
   }
@@ -80,24 +76,24 @@ void sync_to_disk(const fs::path& file, int flags) {
   const Descriptor descriptor(file, flags);
   // EINVAL: a file system that cannot sync (some network and special ones); the rename is still atomic there.
   if (descriptor.get() < 0 || (::fsync(descriptor.get()) != 0 && errno != EINVAL))
-    fail(file, fmt::format("cannot be written to disk: {}", std::strerror(errno)));
+    fail_file(file, fmt::format("cannot be written to disk: {}", std::strerror(errno)));
 }
 
 }  // namespace
 
 void write_atomically(const fs::path& file, const std::function<void(const fs::path&)>& write) {
-  if (!file.has_filename()) fail(file, "cannot be written: not a file name");
+  if (!file.has_filename()) fail_file(file, "cannot be written: not a file name");
   const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
   std::error_code status;
-  if (!fs::is_directory(folder, status)) fail(file, fmt::format("cannot be written: no folder {}", folder.string()));
-  if (fs::is_directory(file, status)) fail(file, "cannot be written: is a folder");
+  if (!fs::is_directory(folder, status)) fail_file(file, fmt::format("cannot be written: no folder {}", folder.string()));
+  if (fs::is_directory(file, status)) fail_file(file, "cannot be written: is a folder");
 
   const fs::path temporary = temporary_name(file);
   try {
     write(temporary);
     sync_to_disk(temporary, O_RDONLY);
     fs::rename(temporary, file, status);
-    if (status) fail(file, fmt::format("cannot be written: {}", status.message()));
+    if (status) fail_file(file, fmt::format("cannot be written: {}", status.message()));
   } catch (...) {
     std::error_code ignored;
     fs::remove(temporary, ignored);
@@ -111,16 +107,24 @@ void write_text_atomically(const fs::path& file, const std::string& text) {
     std::ofstream out(temporary, std::ios::binary);
     out.write(text.data(), static_cast<std::streamsize>(text.size()));
     out.close();
-    if (!out) fail(file, fmt::format("cannot be written: {}", errno ? std::strerror(errno) : "unknown reason"));
+    if (!out) fail_file(file, fmt::format("cannot be written: {}", errno ? std::strerror(errno) : "unknown reason"));
   });
 }
 
 std::vector<std::byte> read_bytes(const fs::path& file, std::uint64_t max_bytes) {
   const Descriptor in(file, O_RDONLY | O_NONBLOCK);
   const std::uint64_t size = check_regular(file, in);
-  if (size > max_bytes) fail(file, fmt::format("has {} bytes, expected at most {}", size, max_bytes));
+  if (size > max_bytes) fail_file(file, fmt::format("has {} bytes, expected at most {}", size, max_bytes));
   std::vector<std::byte> bytes(size);
-  if (read_some(file, in, bytes.data(), bytes.size()) != bytes.size()) fail(file, "became shorter while it was read");
+  if (read_some(file, in, bytes.data(), bytes.size()) != bytes.size()) fail_file(file, "became shorter while it was read");
+  return bytes;
+}
+
+std::vector<std::byte> read_prefix(const fs::path& file, std::size_t max_bytes) {
+  const Descriptor in(file, O_RDONLY | O_NONBLOCK);
+  check_regular(file, in);
+  std::vector<std::byte> bytes(max_bytes);
+  bytes.resize(read_some(file, in, bytes.data(), bytes.size()));
   return bytes;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -47,6 +48,9 @@ void write_text_atomically(const std::filesystem::path& file, const std::string&
 /// Whole file; Error{file} if it is missing, not a regular file or larger than `max_bytes`.
 std::vector<std::byte> read_bytes(const std::filesystem::path& file, std::uint64_t max_bytes);
 std::string read_text(const std::filesystem::path& file, std::uint64_t max_bytes = 64u << 20);
+
+/// The first bytes of a file, at most `max_bytes`.
+std::vector<std::byte> read_prefix(const std::filesystem::path& file, std::size_t max_bytes);
 
 /// XXH3-128 as 32 hex digits, what `xxhsum -H2` prints.
 std::string checksum(std::span<const std::byte> bytes);
