@@ -37,17 +37,20 @@ struct HueDifference {
 
 /// Sharma et al. 2005, Eq. 10 and 14, for two colours that both have a hue.
 HueDifference compare_hues(double h1, double h2) {
-  // Opposite hues (exactly 180 deg) belong to the first branch; the tolerance keeps the rounding of atan2 from deciding it.
+  // Opposite hues (exactly 180 deg) belong to the first branch; the tolerance keeps the rounding of atan2
+  // from deciding it.
   constexpr double half_turn = pi * (1 + 1e-12);
   const double difference = h2 - h1, sum = h1 + h2;
   if (std::abs(difference) <= half_turn) return {difference, sum / 2};
-  return {difference > 0 ? difference - 2 * pi : difference + 2 * pi, sum < 2 * pi ? sum / 2 + pi : sum / 2 - pi};
+  return {difference > 0 ? difference - 2 * pi : difference + 2 * pi,
+          sum < 2 * pi ? sum / 2 + pi : sum / 2 - pi};
 }
 
 }  // namespace
 
 glm::dvec3 xyz_from_linear_srgb(const glm::dvec3& rgb) {
-  // The exact rational solution for the chromaticities of IEC 61966-2-1 (its printed 4-digit matrix is this, rounded).
+  // The exact rational solution for the chromaticities of IEC 61966-2-1 (its printed 4-digit matrix is this,
+  // rounded).
   return {506752.0 / 1228815 * rgb.r + 87881.0 / 245763 * rgb.g + 12673.0 / 70218 * rgb.b,
           87098.0 / 409605 * rgb.r + 175762.0 / 245763 * rgb.g + 12673.0 / 175545 * rgb.b,
           7918.0 / 409605 * rgb.r + 87881.0 / 737289 * rgb.g + 1001167.0 / 1053270 * rgb.b};
