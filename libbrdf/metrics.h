@@ -3,6 +3,7 @@
 #include <array>
 #include <cstddef>
 #include <glm/vec3.hpp>
+#include <numbers>
 #include <optional>
 #include <vector>
 
@@ -12,13 +13,11 @@ namespace lacquer::brdf {
 
 /// Which directions two BRDFs are compared at.
 struct CompareOptions {
-  double max_theta =
-      80.0 / 180.0 *
-      3.14159265358979323846;  ///< radians, (0, pi/2]; both directions at most this far from the normal
-  int phi_d_step = 2;  ///< every n-th phi_d cell of the table's grid (1 = all, at most 180); the cell centres
-                       ///< are the directions
-  bool scale = false;  ///< true: B is first multiplied by the one factor that makes the mean log ratio 0
-                       ///< (relative measurements)
+  /// Radians, (0, pi/2]; both directions at most this far from the normal. 80 deg.
+  double max_theta = 80 * std::numbers::pi / 180;
+  int phi_d_step = 2;  ///< every n-th phi_d cell of the table's grid is a direction; 1 (all) to 180
+  /// true: B is first multiplied by the one factor that makes the mean log ratio 0 (relative measurements).
+  bool scale = false;
   void validate() const;  ///< throws Error{usage} naming the field
 };
 
@@ -42,14 +41,13 @@ struct BrdfDifference {
   double mean_abs_log = 0;        ///< mean |ln(b/a)| over directions and channels
   double rms_log = 0;             ///< root mean square of ln(b/a)
   double max_abs_log = 0;
-  double bias_log = 0;    ///< mean ln(b/a)
-  double cosine_rms = 0;  ///< sqrt(mean (cos_i cos_o (b - a))^2) relative to sqrt(mean (cos_i cos_o a)^2),
-                          ///< solid-angle weighted
-  std::size_t n_pixels =
-      0;  ///< of the lit spheres; 0: no pixel could be compared and the two delta_e mean nothing
-  double delta_e_mean = 0;  ///< CIEDE2000 of the lit spheres, mean over their pixels
-  double delta_e_p95 = 0;   ///< 95th percentile (nearest rank)
-  double scale = 1;         ///< factor applied to B (CompareOptions::scale): exp(-mean ln(b/a))
+  double bias_log = 0;  ///< mean ln(b/a)
+  /// sqrt(mean (cos_i cos_o (b - a))^2) / sqrt(mean (cos_i cos_o a)^2), solid-angle weighted, all channels.
+  double cosine_rms = 0;
+  std::size_t n_pixels = 0;  ///< of the lit spheres; 0: none could be compared, delta_e means nothing
+  double delta_e_mean = 0;   ///< CIEDE2000 of the lit spheres, mean over their pixels
+  double delta_e_p95 = 0;    ///< 95th percentile (nearest rank)
+  double scale = 1;          ///< factor applied to B (CompareOptions::scale): exp(-mean ln(b/a))
 };
 
 /// Compares B with A. Identical BRDFs give exactly 0; the log measures but for the sign of bias_log do not

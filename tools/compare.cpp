@@ -1,0 +1,98 @@
+#include <fmt/format.h>
+
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <numbers>
+
+#include "libbrdf/brdf.h"
+#include "libbrdf/error.h"
+#include "libbrdf/metrics.h"
+#include "tools/command.h"
+#include "tools/summary.h"
+
+namespace lacquer::tools {
+
+namespace {
+
+struct Options {
+  std::string a, b;
+  bool json = false;
+  double max_theta_deg = 80;
+  brdf::CompareOptions compare;
+};
+
+/// {"version": 1, "software": ..., "command": ..., "inputs": ..., "a": ..., "b": ..., "metrics": ...}
+std::string to_json(const Options& options, const Context& context, const brdf::Brdf& a, const brdf::Brdf& b,
+                    const brdf::BrdfDifference& d) {
+  nlohmann::ordered_json j;
+  j["version"] = 1;
+  j.update(nlohmann::ordered_json::parse(provenance_json(context, {options.a, options.b})));
+  j["a"] = {{"file", options.a}, {"description", a.description()}};
+  j["b"] = {{"file", options.b}, {"description", b.description()}};
+  j["max_theta_deg"] = options.max_theta_deg;
+  auto& m = j["metrics"];
+  m["mean_abs_log"] = d.mean_abs_log;
+  m["rms_log"] = d.rms_log;
+  m["bias_log"] = d.bias_log;
+  m["max_abs_log"] = d.max_abs_log;
+  m["cosine_rms"] = d.cosine_rms;
+  const auto or_null = [&](double x) {
+    return d.n_pixels ? nlohmann::ordered_json(x) : nlohmann::ordered_json();
+  };
+  m["delta_e_2000_mean"] = or_null(d.delta_e_mean);
+  m["delta_e_2000_p95"] = or_null(d.delta_e_p95);
+  m["scale"] = d.scale;
+  m["n_directions"] = d.n_directions;
+  m["n_undefined"] = d.n_undefined;
+  m["n_nonpositive"] = d.n_nonpositive;
+  m["n_pixels"] = d.n_pixels;
+  return j.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+}
+
+std::string to_text(const Options& options, const brdf::Brdf& a, const brdf::Brdf& b,
+                    const brdf::BrdfDifference& d) {
+  std::string text;
+  text += fmt::format("A                      {} ({})\n", options.a, a.description());
+  text += fmt::format("B                      {} ({})\n", options.b, b.description());
+  text += fmt::format("light and camera       within {:g} deg of the normal\n", options.max_theta_deg);
+  text += difference_text(d);
+  if (d.n_nonpositive)
+    text +=
+        fmt::format("values <= 0            {} channel values left out of the ln ratios\n", d.n_nonpositive);
+  if (d.n_pixels == 0) text += "no pixel of the lit sphere is defined in both: dE2000 means nothing\n";
+  return text;
+}
+
+}  // namespace
+
+void add_compare(CLI::App& app, Context& context) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command =
+      app.add_subcommand("compare", "difference between two BRDF files: log ratio, RMS, dE2000");
+  command->add_option("A", options->a, "reference: table.exr, fit.json, MERL .binary or RGL .bsdf")
+      ->required();
+  command->add_option("B", options->b, "the BRDF to judge, any of the same formats")->required();
+  command->add_flag("--json", options->json, "one JSON object instead of lines for people");
+  command->add_flag("--scale", options->compare.scale,
+                    "first scale B so that the mean ln ratio is 0 (relative measurements)");
+  command
+      ->add_option("--max-theta-deg", options->max_theta_deg,
+                   "leave out light and camera directions beyond this")
+      ->capture_default_str();
+  command->callback([options, &context] {
+    if (!(options->max_theta_deg > 0 && options->max_theta_deg <= 90))
+      throw Error(ErrorCode::usage,
+                  fmt::format("--max-theta-deg: expected an angle above 0 and at most 90, got {}",
+                              options->max_theta_deg));
+    options->compare.max_theta = options->max_theta_deg * std::numbers::pi / 180;
+    const auto a = brdf::load_brdf(options->a);
+    const auto b = brdf::load_brdf(options->b);
+    const brdf::BrdfDifference difference = brdf::compare(*a, *b, options->compare);
+    if (options->json)
+      fmt::print("{}\n", to_json(*options, context, *a, *b, difference));
+    else
+      fmt::print("{}", to_text(*options, *a, *b, difference));
+  });
+}
+
+}  // namespace lacquer::tools
