@@ -1,0 +1,176 @@
+#include "libcalib/samples.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <numbers>
+
+#include "libbrdf/error.h"
+#include "test_support.h"
+
+namespace lacquer::calib {
+namespace {
+
+constexpr double pi = std::numbers::pi;
+
+/// Orthographic camera, 1 mm per pixel, sphere of 50 mm in the middle of 121 x 121 pixels: normals can be written down by hand.
+Calibration orthographic_rig(bool distant) {
+  Calibration c;
+  c.geometry.camera.projection = acquire::CameraModel::Projection::orthographic;
+  c.geometry.camera.width = c.geometry.camera.height = 121;
+  c.geometry.camera.focal = {1000, 1000};
+  c.geometry.camera.centre = {60, 60};
+  c.geometry.cam_from_rig = acquire::look_at({0, 0, 1}, {0, 0, 0}, {0, 1, 0});
+  c.geometry.sphere_radius = 0.05;
+  acquire::Light light;
+  light.distant = distant;
+  light.direction = glm::normalize(glm::dvec3(0.3, 0.5, 0.8));
+  light.position = {0.3, 0.5, 0.8};
+  light.intensity = {2.0, 3.0, 5.0};
+  c.geometry.lights = {light};
+  c.dn_per_radiance = {100, 200, 400};
+  return c;
+}
+
+glm::dvec3 normal_at(int x, int y) {
+  const double nx = (x - 60) / 50.0, ny = -(y - 60) / 50.0;  // image y points down, rig y up
+  return {nx, ny, std::sqrt(1 - nx * nx - ny * ny)};
+}
+
+RadianceImage constant_image(acquire::PixelLayout layout, float value) {
+  RadianceImage image;
+  image.width = image.height = 121;
+  image.layout = layout;
+  const std::size_t n = 121u * 121u * static_cast<std::size_t>(acquire::values_per_pixel(layout));
+  image.radiance.assign(n, value);
+  image.variance.assign(n, 0.25f);
+  image.flags.assign(n, PixelFlag::valid);
+  return image;
+}
+
+std::vector<Sample> all_samples(const Sampler& sampler, const RadianceImage& image, SampleCounts* counts = nullptr) {
+  std::vector<Sample> all;
+  const SampleCounts c = sampler.sample_view(image, 0, 0.0, [&](std::span<const Sample> s) { all.insert(all.end(), s.begin(), s.end()); });
+  if (counts) *counts = c;
+  return all;
+}
+
+TEST(Samples, ValueAndCoordinatesOfADistantLightFollowFromTheNormalByHand) {
+  const Calibration calibration = orthographic_rig(true);
+  const Sampler sampler(calibration, {}, acquire::PixelLayout::rgb, {});
+  const auto samples = all_samples(sampler, constant_image(acquire::PixelLayout::rgb, 7.0f));
+
+  const glm::dvec3 wi = glm::normalize(glm::dvec3(0.3, 0.5, 0.8)), wo(0, 0, 1), h = glm::normalize(wi + wo);
+  std::size_t next = 0;
+  for (int y = 0; y < 121; ++y)
+    for (int x = 0; x < 121; ++x) {
+      if (std::hypot(x - 60, y - 60) > 47.5) continue;  // well inside the band of edge_px = 2
+      const glm::dvec3 n = normal_at(x, y);
+      if (glm::dot(n, wi) < 0.0872 || n.z < 0.0872) continue;
+      const double theta_h = std::acos(std::min(1.0, glm::dot(n, h)));
+      // Find this pixel's three samples: they come in pixel order.
+      while (next < samples.size() && std::abs(samples[next].coordinates.theta_h - theta_h) > 1e-7) ++next;
+      ASSERT_LT(next + 2, samples.size()) << "pixel " << x << "," << y << " has no sample";
+      for (int c = 0; c < 3; ++c) {
+        const Sample& s = samples[next + static_cast<std::size_t>(c)];
+        const double irradiance = calibration.geometry.lights[0].intensity[c] * glm::dot(n, wi);
+        EXPECT_EQ(s.channel, c);
+        EXPECT_NEAR(s.value, 7.0 / (calibration.dn_per_radiance[c] * irradiance), 1e-12 * s.value + 1e-15);
+        EXPECT_NEAR(s.variance, 0.25 / std::pow(calibration.dn_per_radiance[c] * irradiance, 2), 1e-12);
+        EXPECT_NEAR(s.weight, glm::dot(n, wi), 1e-12);
+        EXPECT_NEAR(s.coordinates.theta_d, std::acos(glm::dot(wi, h)), 1e-12);  // the same for every pixel: both directions are fixed
+      }
+      next += 3;
+    }
+}
+
+TEST(Samples, IrradianceOfANearLightFallsWithTheSquareOfItsDistance) {
+  const Calibration calibration = orthographic_rig(false);
+  SampleOptions options;
+  options.min_cosine = 0.5;
+  const Sampler sampler(calibration, {}, acquire::PixelLayout::mono, options);
+  RadianceImage image = constant_image(acquire::PixelLayout::mono, 0.0f);
+  image.radiance[60 * 121 + 60] = 9.0f;  // the pixel that looks at (0, 0, R)
+  const auto samples = all_samples(sampler, image);
+  double found = 0;
+  for (const Sample& s : samples)
+    if (s.value != 0) found = s.value;
+  const glm::dvec3 to_light = glm::dvec3(0.3, 0.5, 0.8) - glm::dvec3(0, 0, 0.05);
+  const double d2 = glm::dot(to_light, to_light), cosine = to_light.z / std::sqrt(d2);
+  EXPECT_NEAR(found, 9.0 / (100 * 2.0 * cosine / d2), 1e-12);
+}
+
+TEST(Samples, ClippedAndInvalidValuesAreCountedAndNeverDelivered) {
+  const Sampler sampler(orthographic_rig(true), {}, acquire::PixelLayout::mono, {});
+  RadianceImage image = constant_image(acquire::PixelLayout::mono, 1.0f);
+  SampleCounts before, after;
+  const auto n_before = all_samples(sampler, image, &before).size();
+  image.flags[60 * 121 + 60] = PixelFlag::clipped;
+  image.flags[60 * 121 + 61] = PixelFlag::invalid;
+  image.flags[60 * 121 + 62] = PixelFlag::dark;  // a dark value is an ordinary, if noisy, measurement
+  const auto n_after = all_samples(sampler, image, &after).size();
+  EXPECT_EQ(n_after, n_before - 2);
+  EXPECT_EQ(after.clipped, 1u);
+  EXPECT_EQ(after.invalid, 1u);
+  EXPECT_EQ(after.used, n_after);
+}
+
+TEST(Samples, MosaicPixelFeedsItsOwnChannelOnly) {
+  const Sampler sampler(orthographic_rig(true), {}, acquire::PixelLayout::bayer_rggb, {});
+  std::size_t per_channel[3] = {};
+  for (const Sample& s : all_samples(sampler, constant_image(acquire::PixelLayout::bayer_rggb, 1.0f))) ++per_channel[s.channel];
+  EXPECT_NEAR(static_cast<double>(per_channel[1]) / static_cast<double>(per_channel[0]), 2.0, 0.05);
+  EXPECT_NEAR(static_cast<double>(per_channel[1]) / static_cast<double>(per_channel[2]), 2.0, 0.05);
+}
+
+TEST(Samples, UpperHalfSphereMaskLeavesOutTheLowerHalf) {
+  acquire::MaskDescription mask;
+  mask.min_y = 0.0;
+  SampleCounts whole, upper;
+  const RadianceImage image = constant_image(acquire::PixelLayout::mono, 1.0f);
+  Calibration calibration = orthographic_rig(true);
+  calibration.geometry.lights[0].direction = {0, 0, 1};  // light and camera treat both halves alike
+  all_samples(Sampler(calibration, {}, acquire::PixelLayout::mono, {}), image, &whole);
+  all_samples(Sampler(calibration, mask, acquire::PixelLayout::mono, {}), image, &upper);
+  EXPECT_NEAR(static_cast<double>(upper.used) / static_cast<double>(whole.used), 0.5, 0.01);
+}
+
+TEST(Samples, PredictionIsTheInverseOfSampling) {
+  const Calibration calibration = orthographic_rig(false);
+  const Sampler sampler(calibration, {}, acquire::PixelLayout::rgb, {});
+  const brdf::CookTorranceBrdf paint({glm::dvec3(0.2, 0.3, 0.4), {{glm::dvec3(0.1, 0.2, 0.3), 0.2, 0.5}}});
+  const auto prediction = sampler.predict_view(paint, 0, 0.0);
+  RadianceImage image = constant_image(acquire::PixelLayout::rgb, 0.0f);
+  image.radiance = prediction.radiance;
+  std::size_t n = 0;
+  for (const Sample& s : all_samples(sampler, image)) {
+    const auto f = paint.value(brdf::directions(s.coordinates));
+    EXPECT_NEAR(s.value / (*f)[s.channel], 1.0, 1e-6);  // radiance is stored as float
+    ++n;
+  }
+  EXPECT_GT(n, 10000u);
+}
+
+TEST(Samples, ImageOfAnotherSizeIsRefused) {
+  const Sampler sampler(orthographic_rig(true), {}, acquire::PixelLayout::mono, {});
+  RadianceImage image = constant_image(acquire::PixelLayout::mono, 1.0f);
+  image.width = 120;
+  EXPECT_THROW(all_samples(sampler, image), Error);
+}
+
+TEST(Samples, MaskOfAnotherSizeIsAnErrorThatNamesBothSizes) {
+  test::TemporaryFolder folder;
+  test::write_file(folder / "mask.pgm", "P5\n2 1\n255\n\xff\xff");
+  acquire::MaskDescription mask;
+  mask.file = folder / "mask.pgm";
+  try {
+    Sampler(orthographic_rig(true), mask, acquire::PixelLayout::mono, {});
+    FAIL() << "accepted";
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("expected 121x121 pixels as the camera has, got 2x1"), std::string::npos) << e.what();
+  }
+}
+
+}  // namespace
+}  // namespace lacquer::calib
