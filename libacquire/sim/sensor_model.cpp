@@ -1,0 +1,79 @@
+#include "libacquire/sim/sensor_model.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+
+#include "libacquire/sim/noise.h"
+
+namespace lacquer::acquire::sim {
+
+namespace {
+
+constexpr double largest_exact_mean = 20;  // electrons; the sum over probabilities costs about 3 ns per electron
+
+/// Electrons of Poisson(mean) plus a normal number of variance `read_variance`, from the standard normal number `z`: normal with the
+/// third cumulant (which is `mean`) corrected, Cornish and Fisher 1938, first term.
+double approximate_electrons(double mean, double read_variance, double z) {
+  const double variance = mean + read_variance;
+  return mean + std::sqrt(variance) * z + mean / variance * (z * z - 1) / 6;
+}
+
+}  // namespace
+
+SensorModel::SensorModel(const SensorDescription& sensor, int width, int height)
+    : sensor_(sensor), width_(width), height_(height), max_dn_(static_cast<double>((1 << sensor.bits) - 1)) {}
+
+double SensorModel::electrons(double mean, std::uint64_t key, std::uint64_t index) const {
+  const double full_well = sensor_.full_well_e, read = sensor_.read_noise_e;
+  const auto add_read_noise = [&](double e) { return read > 0 ? e + read * normal(mix64(key), index) : e; };
+  const bool may_fill = full_well > 0 && mean + 8 * std::sqrt(mean) > full_well;
+  if (mean <= 0) return add_read_noise(0);
+  if (mean <= largest_exact_mean) {
+    const double shot = poisson_quantile(mean, uniform(key, index));
+    return add_read_noise(may_fill ? std::min(shot, full_well) : shot);
+  }
+  const double z = normal(key, index);
+  if (!may_fill) return approximate_electrons(mean, read * read, z);  // one draw for both noises: their sum has this distribution
+  return add_read_noise(std::min(approximate_electrons(mean, 0, z), full_well));
+}
+
+std::uint16_t SensorModel::value(double x) const {
+  double dn = x;
+  if (sensor_.response != SensorDescription::Response::linear && sensor_.gamma != 1) {
+    const double range = max_dn_ - sensor_.black_level_dn;
+    dn = std::copysign(range * std::pow(std::abs(x) / range, 1 / sensor_.gamma), x);
+  }
+  return static_cast<std::uint16_t>(std::clamp(std::floor(dn + sensor_.black_level_dn + 0.5), 0.0, max_dn_));
+}
+
+RawFrame SensorModel::expose(const RadianceImage& image, double light, const CaptureSettings& settings, std::uint64_t key) const {
+  assert(image.width == width_ && image.height == height_ && image.n_channels == n_channels(sensor_.layout));
+  const int n_values = values_per_pixel(sensor_.layout);
+  RawFrame frame{.width = width_, .height = height_, .layout = sensor_.layout, .bits = sensor_.bits, .data = {}, .actual = settings};
+  const std::size_t row_length = static_cast<std::size_t>(width_) * static_cast<std::size_t>(n_values);
+  frame.data.resize(row_length * static_cast<std::size_t>(height_));
+
+  const glm::dvec3 electrons_per_radiance = sensor_.sensitivity * (settings.exposure_s * light);
+  const double dark = sensor_.dark_current_e_per_s * settings.exposure_s;
+  const double dn_per_electron = std::pow(10.0, settings.gain_db / 20) / sensor_.gain_e_per_dn;
+
+  tbb::parallel_for(tbb::blocked_range<int>(0, height_, 8), [&](const tbb::blocked_range<int>& rows) {
+    for (int y = rows.begin(); y != rows.end(); ++y) {
+      std::size_t at = row_length * static_cast<std::size_t>(y);
+      for (int x = 0; x < width_; ++x) {
+        for (int k = 0; k < n_values; ++k, ++at) {
+          const int channel = channel_of(sensor_.layout, x, y, k);
+          const double signal = static_cast<double>(image.at(channel, x, y)) * electrons_per_radiance[channel];
+          frame.data[at] = value(electrons(std::max(signal, 0.0) + dark, key, at) * dn_per_electron);
+        }
+      }
+    }
+  });
+  return frame;
+}
+
+}  // namespace lacquer::acquire::sim
