@@ -10,7 +10,7 @@
 /// Checks of a bracket and the subset of its pixels that response and noise are estimated from.
 namespace lacquer::calib {
 
-/// All frames alike in size, layout, bits and gain, data complete and within [0, 2^bits), exposures finite and > 0.
+/// All frames alike in size, layout, bits and gain, data complete and within [0, 2^bits), exposures in [1e-9, 1e6] s.
 /// Throws Error{input} naming the first frame that is not (counted from 1).
 void check_bracket(std::span<const acquire::RawFrame> frames);
 

@@ -8,6 +8,8 @@
 
 namespace lacquer::calib {
 
+struct BracketSamples;
+
 /// Noise of one raw value. In DN^2 of the LINEARISED value z (exposure of the response curve, black and mean dark current subtracted):
 ///   variance = (read_noise_e^2 + dark_current_e_per_s * t + max(z, 0) * gain) / gain^2 + (relative_noise * z)^2 + slope^2 / 12
 /// Read, dark and shot noise arise before the response curve, quantisation after it (slope = d exposure / d value, 1 if linear).
@@ -30,5 +32,6 @@ int saturation_value(const NoiseModel& noise, int bits);
 /// neighbouring exposures contradict each other at each signal level. Medians per level, so that moved edges, dust and scratches do
 /// not count. Black level and saturation are taken over from `known`; dark current is 0 (it cannot be told from light here).
 NoiseModel estimate_noise(std::span<const std::vector<acquire::RawFrame>> brackets, const Response& response, const NoiseModel& known);
+NoiseModel estimate_noise(const BracketSamples& samples, const Response& response, const NoiseModel& known);
 
 }  // namespace lacquer::calib

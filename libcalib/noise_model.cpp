@@ -1,0 +1,160 @@
+#include "libcalib/noise_model.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "libbrdf/error.h"
+#include "libcalib/bracket_samples.h"
+
+namespace lacquer::calib {
+
+namespace {
+
+/// Two values of one pixel at neighbouring exposure times, as radiances, squared difference per signal level.
+struct PairBin {
+  std::vector<double> squared_difference;  ///< (e_a / t_a - e_b / t_b)^2
+  double z_a = 0, z_b = 0;                 ///< sums of the predicted exposures, then their means
+  double quantisation = 0;                 ///< sum, then mean of slope_a^2 / 12 / t_a^2 + slope_b^2 / 12 / t_b^2
+  double t_a = 0, t_b = 0;
+};
+
+/// Median of a chi-square variable with one degree of freedom: turns a median of squares into a variance.
+constexpr double chi_square_median = 0.4549364;
+constexpr std::size_t min_pairs = 40;  ///< per bin: its variance is then known to 30 %
+constexpr int bins_per_octave = 2;
+constexpr int n_octaves = 18;
+
+double slope_at(const std::vector<double>& exposure, std::size_t v) {
+  const std::size_t low = v > 0 ? v - 1 : v, high = std::min(v + 1, exposure.size() - 1);
+  return (exposure[high] - exposure[low]) / static_cast<double>(high - low);
+}
+
+void collect_pairs(const BracketSamples& samples, std::size_t channel, const std::vector<double>& exposure,
+                   std::vector<PairBin>& bins) {
+  const SampledPixels& pixels = samples.channels[channel];
+  for (std::size_t i = 0; i < pixels.n_pixels(); ++i) {
+    for (std::size_t k = pixels.first[i]; k + 1 < pixels.first[i + 1]; ++k) {
+      const Observation a = pixels.observations[k], b = pixels.observations[k + 1];
+      if (a.time == b.time) continue;
+      const double t_a = samples.times[a.time], t_b = samples.times[b.time];
+      const double e_a = exposure[a.value], e_b = exposure[b.value];
+      const double radiance = (e_a + e_b) / (t_a + t_b);
+      const int level = static_cast<int>(std::floor(bins_per_octave * std::log2(std::max(radiance * t_b, 1e-3))));
+      if (level < 0 || level >= bins_per_octave * n_octaves) continue;
+      PairBin& bin = bins[a.time * static_cast<std::size_t>(bins_per_octave * n_octaves) + static_cast<std::size_t>(level)];
+      const double difference = e_a / t_a - e_b / t_b;
+      const double s_a = slope_at(exposure, a.value) / t_a, s_b = slope_at(exposure, b.value) / t_b;
+      bin.squared_difference.push_back(difference * difference);
+      bin.z_a += radiance * t_a;
+      bin.z_b += radiance * t_b;
+      bin.quantisation += (s_a * s_a + s_b * s_b) / 12;
+      bin.t_a = t_a;
+      bin.t_b = t_b;
+    }
+  }
+}
+
+/// One equation per bin: variance = x[0] + x[1] z + x[2] z^2, divided by the measured variance so that all bins count alike
+/// (a bin's relative error depends only on its number of pairs).
+struct Equation {
+  std::array<double, 3> row;
+  double weight;
+  double target;
+};
+
+std::vector<Equation> equations(std::vector<PairBin>& bins) {
+  std::vector<Equation> result;
+  for (PairBin& bin : bins) {
+    const std::size_t n = bin.squared_difference.size();
+    if (n < min_pairs) continue;
+    const auto middle = bin.squared_difference.begin() + static_cast<std::ptrdiff_t>(n / 2);
+    std::nth_element(bin.squared_difference.begin(), middle, bin.squared_difference.end());
+    const double count = static_cast<double>(n), quantisation = bin.quantisation / count;
+    const double z_a = bin.z_a / count, z_b = bin.z_b / count;
+    const double inverse_a = 1 / (bin.t_a * bin.t_a), inverse_b = 1 / (bin.t_b * bin.t_b);
+    // A median of 0 (most pairs agree exactly) only says that the variance is below quantisation.
+    const double variance = std::max(*middle / chi_square_median, quantisation);
+    result.push_back({{(inverse_a + inverse_b) / variance, (z_a * inverse_a + z_b * inverse_b) / variance,
+                       (z_a * z_a * inverse_a + z_b * z_b * inverse_b) / variance},
+                      std::min(count, 2000.0),
+                      1 - quantisation / variance});
+  }
+  return result;
+}
+
+/// Least squares with x >= 0 by cyclic coordinate descent: three unknowns, convex, so this is simple and converges.
+std::array<double, 3> solve_nonnegative(const std::vector<Equation>& equations) {
+  std::array<double, 3> x{0, 0, 0};
+  std::array<std::array<double, 3>, 3> normal{};
+  std::array<double, 3> right{};
+  for (const Equation& e : equations)
+    for (std::size_t i = 0; i < 3; ++i) {
+      right[i] += e.weight * e.row[i] * e.target;
+      for (std::size_t k = 0; k < 3; ++k) normal[i][k] += e.weight * e.row[i] * e.row[k];
+    }
+  for (int iteration = 0; iteration < 20000; ++iteration) {
+    double change = 0;
+    for (std::size_t i = 0; i < 3; ++i) {
+      if (normal[i][i] <= 0) continue;
+      double rest = right[i];
+      for (std::size_t k = 0; k < 3; ++k)
+        if (k != i) rest -= normal[i][k] * x[k];
+      const double updated = std::max(rest / normal[i][i], 0.0);
+      change = std::max(change, std::abs(updated - x[i]) * std::sqrt(normal[i][i]));
+      x[i] = updated;
+    }
+    if (change < 1e-10) break;
+  }
+  return x;
+}
+
+}  // namespace
+
+void NoiseModel::validate() const {
+  const auto check = [](const char* name, double value, double min, double max) {
+    if (!(value >= min && value <= max))
+      throw Error(ErrorCode::input, fmt::format("noise model: {}: expected a number in [{}, {}], got {}", name, min, max, value));
+  };
+  check("black_level_dn", black_level_dn, 0, 65535);
+  check("gain_e_per_dn", gain_e_per_dn, 1e-9, 1e9);
+  check("read_noise_e", read_noise_e, 0, 1e9);
+  check("dark_current_e_per_s", dark_current_e_per_s, 0, 1e9);
+  check("saturation_dn", saturation_dn, 0, 65535);
+  check("relative_noise", relative_noise, 0, 1);
+}
+
+int saturation_value(const NoiseModel& noise, int bits) {
+  const int top = (1 << bits) - 1;
+  if (!(noise.saturation_dn > 0) || noise.saturation_dn > top) return top;
+  return static_cast<int>(std::ceil(noise.saturation_dn));
+}
+
+NoiseModel estimate_noise(std::span<const std::vector<acquire::RawFrame>> brackets, const Response& response, const NoiseModel& known) {
+  SamplingOptions sampling;
+  sampling.lowest_value = known.black_level_dn > 0 ? 0 : 1;
+  sampling.saturation_value = saturation_value(known, response.bits);
+  const BracketSamples samples = sample_brackets(brackets, sampling);
+  return estimate_noise(samples, response, known);
+}
+
+NoiseModel estimate_noise(const BracketSamples& samples, const Response& response, const NoiseModel& known) {
+  std::vector<Equation> all;
+  for (std::size_t channel = 0; channel < samples.channels.size(); ++channel) {
+    std::vector<PairBin> bins(samples.times.size() * static_cast<std::size_t>(bins_per_octave * n_octaves));
+    collect_pairs(samples, channel, response.curves[channel].exposure, bins);
+    const std::vector<Equation> part = equations(bins);
+    all.insert(all.end(), part.begin(), part.end());
+  }
+  const auto [read_variance, shot, relative_variance] = solve_nonnegative(all);
+  NoiseModel noise = known;
+  noise.dark_current_e_per_s = 0;
+  noise.gain_e_per_dn = 1 / std::max(shot, 1e-6);  // 1e6 e/DN: shot noise far below quantisation, that is none
+  noise.read_noise_e = std::sqrt(read_variance) * noise.gain_e_per_dn;
+  noise.relative_noise = std::min(std::sqrt(relative_variance), 1.0);
+  return noise;
+}
+
+}  // namespace lacquer::calib
