@@ -29,7 +29,7 @@ constexpr int format_version = 1;
 constexpr float float_pi = 3.14159274f;  // the float next to pi, a hair above it
 constexpr std::array<const char*, 3> rgb_names{"R", "G", "B"};
 
-/// Level 1 of zlib: 2 to 3 times faster than OpenEXR's default 4 at a few per cent more bytes (measured on full and sparse tables).
+/// Level 1 of zlib writes 1.6 times faster than OpenEXR's default 4 for 3 % more bytes (full table of a measured film: 13.6 MB, 1.0 s).
 constexpr int zip_level = 1;
 
 int threads() {
