@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "libacquire/frame.h"
@@ -56,6 +57,12 @@ struct MaskDescription {
   std::optional<double> min_y;                ///< metres, rig frame: the paper's upper half-sphere is 0
 };
 
+/// A file that is needed to understand a rig file (mask, light tables) and therefore goes into the session with it.
+struct ReferencedFile {
+  std::string as_written;          ///< in the rig file
+  std::filesystem::path resolved;
+};
+
 /// A rig file (TOML), checked: every number finite and in range, unknown keys are errors that name the nearest known key.
 struct RigDescription {
   enum class Kind { simulated, replay } kind = Kind::simulated;
@@ -67,11 +74,19 @@ struct RigDescription {
   MaskDescription mask;
   std::vector<PlannedView> plan;
   SimulationDescription simulation;
+  std::vector<ReferencedFile> referenced_files;  ///< each once
   bool absolute_scale = true;     ///< light intensities and sensitivity are calibrated: f_r comes out in 1/sr
 };
 
-RigDescription read_rig(const std::filesystem::path& file);
+/// Reads and checks a rig file; rigs/README.md lists every key with unit and default. Photographs and paints are not opened, masks and
+/// light tables are. `data_folder`, if given, takes the place of the rig file's replay.folder. Throws Error{file}: file, field, what was
+/// expected; for a syntax error the line.
+RigDescription read_rig(const std::filesystem::path& file, const std::filesystem::path& data_folder = {});
 /// The same from text; `file` is used for messages and relative paths.
-RigDescription parse_rig(const std::string& text, const std::filesystem::path& file);
+RigDescription parse_rig(const std::string& text, const std::filesystem::path& file, const std::filesystem::path& data_folder = {});
+
+/// Text of a rig file for another folder: table [copied_files] at its end says where the files it refers to are now. `copies`: as
+/// written -> relative to the new place of the rig file. A table of an earlier copy is replaced.
+std::string with_copied_files(const std::string& text, const std::vector<std::pair<std::string, std::string>>& copies);
 
 }  // namespace lacquer::acquire
