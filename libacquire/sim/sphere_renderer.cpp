@@ -9,7 +9,6 @@
 #include <glm/geometric.hpp>
 #include <limits>
 
-#include "libacquire/sim/noise.h"
 #include "libbrdf/error.h"
 
 namespace lacquer::acquire::sim {
@@ -20,8 +19,7 @@ namespace {
 constexpr double dark_fraction = 1e-3;
 // A pixel whose centre value is estimated to be off by less than this stays as it is.
 constexpr double smooth_enough = 5e-4;
-constexpr int silhouette_samples = 128;
-constexpr int terminator_samples = 48;
+constexpr int silhouette_lines = 12;
 
 double sum(const glm::dvec3& c) { return c.r + c.g + c.b; }
 
@@ -41,6 +39,24 @@ double relative_miss_distance(const RigGeometry& rig, const glm::dvec2& pixel) {
   const bool perspective = rig.camera.projection == CameraModel::Projection::pinhole;
   if (perspective && !(-along > 0)) return std::numeric_limits<double>::infinity();
   return glm::length(from_centre - along * ray->direction) / rig.sphere_radius;
+}
+
+/// Part of a line through a pixel, coordinates in [-1/2, 1/2], that lies on the sphere: from the silhouette, or the end nearest to it,
+/// inwards. Empty: both ends equal.
+struct CoveredPart {
+  double rim, inner;
+};
+
+/// From the distance (in radii) of the line of sight at -1/2, 0 and 1/2. A parabola through the three is exact to (pixel / radius)^2.
+CoveredPart covered_part(double before, double middle, double after) {
+  const double outer = before > after ? -0.5 : 0.5, inner = -outer;
+  if (!(std::min(before, after) < 1)) return {inner, inner};
+  if (std::max(before, after) <= 1) return {outer, inner};
+  const double slope = after - before, bend = 2 * (before - 2 * middle + after);
+  if (!std::isfinite(slope + bend)) return {middle < 1 ? 0.0 : inner, inner};
+  double t = (1 - middle) / slope;
+  for (int i = 0; i < 3; ++i) t = std::clamp((1 - middle - bend * t * t) / slope, -0.5, 0.5);
+  return {t, inner};
 }
 
 }  // namespace
@@ -74,6 +90,8 @@ SphereRenderer::SphereRenderer(const RigGeometry& rig, std::shared_ptr<const brd
              {square_rule(3), disc_rule(2, 8)},
              {square_rule(5), disc_rule(3, 12)},
              {square_rule(8), disc_rule(4, 16)}};
+  terminator_order_ = {square_rule(4), disc_rule(1, 4)};
+  silhouette_nodes_ = line_rule(4);
   const double depth = rig_.cam_from_rig.translation.z;
   const double pixels_per_metre = std::max(rig_.camera.focal.x, rig_.camera.focal.y) /
                                   (rig_.camera.projection == CameraModel::Projection::pinhole ? depth : 1);
@@ -194,17 +212,28 @@ glm::dvec3 SphereRenderer::mean_of_smooth_pixel(const PlacedLight& light, int x,
   return previous;
 }
 
-glm::dvec3 SphereRenderer::mean_of_broken_pixel(const PlacedLight& light, int x, int y, int n_samples) const {
-  const std::uint64_t key = combine(static_cast<std::uint64_t>(x), static_cast<std::uint64_t>(y));
-  const glm::dvec4 shift(uniform(key, 0), uniform(key, 1), uniform(key, 2), uniform(key, 3));
-  const double emitter_radius = 0.5 * light.diameter;
+glm::dvec3 SphereRenderer::mean_of_silhouette_pixel(const PlacedLight& light, int x, int y) const {
+  const glm::dvec2 pixel(x, y);
+  const auto distance = [&](const glm::dvec2& offset) { return relative_miss_distance(rig_, pixel + offset); };
+  const double slope_x = std::abs(distance({0.5, 0}) - distance({-0.5, 0})), slope_y = std::abs(distance({0, 0.5}) - distance({0, -0.5}));
+  const bool along_x = !(slope_x < slope_y);  // lines cross the silhouette as squarely as they can
+  const auto offset = [&](double along, double across) { return along_x ? glm::dvec2(along, across) : glm::dvec2(across, along); };
+
   glm::dvec3 total(0.0);
-  for (int i = 0; i < n_samples; ++i) {
-    const glm::dvec4 u = low_discrepancy_point(i, shift);
-    const glm::dvec2 on_emitter = emitter_radius > 0 ? emitter_radius * disc_from_square({u.z, u.w}) : glm::dvec2(0.0);
-    total += radiance(light, glm::dvec2(x + u.x - 0.5, y + u.y - 0.5), on_emitter);
+  for (int line = 0; line < silhouette_lines; ++line) {
+    const double across = (line + 0.5) / silhouette_lines - 0.5;
+    const auto covered = covered_part(distance(offset(-0.5, across)), distance(offset(0, across)), distance(offset(0.5, across)));
+    // Near the silhouette the normal turns with the square root of the distance from it: nodes in the root make that smooth.
+    for (std::size_t k = 0; k < silhouette_nodes_.size(); ++k) {
+      const auto& [root, weight] = silhouette_nodes_[k];
+      const double along = covered.rim + (covered.inner - covered.rim) * root * root;
+      // Each node meets every point of the emitter's rule once in four lines.
+      const PlaneNode& source = orders_.front().emitter[(k + static_cast<std::size_t>(line)) % orders_.front().emitter.size()];
+      total += weight * 2 * root * std::abs(covered.inner - covered.rim) *
+               radiance(light, pixel + offset(along, across), 0.5 * light.diameter * source.at);
+    }
   }
-  return total / static_cast<double>(n_samples);
+  return total / static_cast<double>(silhouette_lines);
 }
 
 glm::dvec3 SphereRenderer::pixel_mean(const PlacedLight& light, int x, int y, const FirstPass& pass) const {
@@ -213,8 +242,8 @@ glm::dvec3 SphereRenderer::pixel_mean(const PlacedLight& light, int x, int y, co
   const auto index = [width](int px, int py) { return static_cast<std::size_t>(py) * static_cast<std::size_t>(width) + static_cast<std::size_t>(px); };
   const std::size_t i = index(x, y);
   if (coverage_[i] == Coverage::outside) return glm::dvec3(0.0);
-  if (coverage_[i] == Coverage::edge) return mean_of_broken_pixel(light, x, y, silhouette_samples);
-  if (pass.kind[i] == Kind::terminator) return mean_of_broken_pixel(light, x, y, terminator_samples);
+  if (coverage_[i] == Coverage::edge) return mean_of_silhouette_pixel(light, x, y);
+  if (pass.kind[i] == Kind::terminator) return mean_by_quadrature(light, x, y, terminator_order_);
   const glm::dvec3& centre = pass.centre[i];
   if (pass.kind[i] == Kind::mirror) return mean_of_smooth_pixel(light, x, y, centre, pass.floor);
 
