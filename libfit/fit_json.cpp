@@ -1,0 +1,93 @@
+#include <nlohmann/json.hpp>
+
+#include "libbrdf/error.h"
+#include "libbrdf/files.h"
+#include "libfit/fit.h"
+
+namespace lacquer::fit {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json colour(const glm::dvec3& c) { return {c.x, c.y, c.z}; }
+
+void add_model(const brdf::CookTorrance& model, Json& j) {
+  j["kd"] = colour(model.kd);
+  j["lobes"] = Json::array();
+  for (const auto& lobe : model.lobes) j["lobes"].push_back({{"ks", colour(lobe.ks)}, {"m", lobe.m}, {"r", lobe.r}});
+}
+
+Json parameters(const FitResult& fit) {
+  Json list = Json::array();
+  for (const Parameter& p : fit.parameters)
+    list.push_back({{"name", p.name}, {"value", p.value}, {"sigma", p.sigma}, {"at_bound", p.at_bound}, {"determined", p.determined}});
+  return list;
+}
+
+/// Rows in the order of "parameters".
+Json covariance(const FitResult& fit) {
+  Json rows = Json::array();
+  const std::size_t n = fit.parameters.size();
+  for (std::size_t i = 0; i < n; ++i) {
+    Json row = Json::array();
+    for (std::size_t j = 0; j < n; ++j) row.push_back(fit.covariance[i * n + j]);
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+Json candidates(const FitResult& fit) {
+  Json list = Json::array();
+  for (const Candidate& candidate : fit.candidates) {
+    Json j{{"cost", candidate.cost}};
+    add_model(candidate.model, j);
+    list.push_back(std::move(j));
+  }
+  return list;
+}
+
+Json errors(const FitResult& fit) {
+  return {{"mean_abs_log", fit.mean_abs_log}, {"rms_log", fit.rms_log},           {"reduced_chi2", fit.reduced_chi2},
+          {"energy", fit.energy},             {"n_cells", fit.n_cells},           {"n_cells_available", fit.n_cells_available},
+          {"n_residuals", fit.n_residuals},   {"converged", fit.converged},       {"message", fit.message},
+          {"left_out",
+           {{"grazing", fit.left_out.grazing},
+            {"not_positive", fit.left_out.not_positive},
+            {"not_finite", fit.left_out.not_finite},
+            {"not_measured", fit.left_out.not_measured}}}};
+}
+
+Json options(const FitOptions& o) {
+  return {{"n_lobes", o.n_lobes},           {"n_starts", o.n_starts},         {"max_cells", o.max_cells},
+          {"model_sigma", o.model_sigma},   {"min_cosine", o.min_cosine},     {"min_m", o.min_m},
+          {"robust_scale", o.robust_scale}, {"energy_weight", o.energy_weight}, {"max_iterations", o.max_iterations}};
+}
+
+}  // namespace
+
+std::string fit_to_json(const FitResult& fit, bool absolute_scale, const std::string& provenance_json) {
+  Json j{{"version", 1},
+         {"kind", "lacquer fit"},
+         {"model", "Cook-Torrance, Guenther et al. 2005, Eq. 1"},
+         {"unit", absolute_scale ? "1/sr" : "relative"},
+         {"scale", absolute_scale ? "absolute" : "relative"}};
+  add_model(fit.model, j);
+  j["parameters"] = parameters(fit);
+  j["covariance"] = covariance(fit);
+  j["errors"] = errors(fit);
+  j["candidates"] = candidates(fit);
+  j["options"] = options(fit.options);
+  try {
+    j["provenance"] = Json::parse(provenance_json.empty() ? "{}" : provenance_json);
+    return j.dump(1) + "\n";
+  } catch (const nlohmann::json::exception& e) {
+    throw Error(ErrorCode::input, std::string("fit provenance: expected JSON text: ") + e.what());
+  }
+}
+
+void write_fit(const std::filesystem::path& file, const FitResult& fit, bool absolute_scale, const std::string& provenance_json) {
+  brdf::write_text_atomically(file, fit_to_json(fit, absolute_scale, provenance_json));
+}
+
+}  // namespace lacquer::fit

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <vector>
+
+#include "libfit/observations.h"
+#include "libfit/parameters.h"
+
+namespace lacquer::fit {
+
+struct ObjectiveOptions {
+  double robust_scale = 3.0;   ///< Huber threshold, sigmas
+  double energy_weight = 0.0;  ///< see FitOptions; 0 where the table's scale is relative
+};
+
+/// Twice the objective with its gradient and Gauss-Newton matrix, all exact sums over the observations.
+struct Quadratic {
+  double cost = 0;                ///< sum of the robust squares; the solver's objective is half of it
+  std::vector<double> gradient;   ///< J^T W r: derivative of cost / 2
+  std::vector<double> curvature;  ///< J^T W J, row-major n x n, symmetric
+};
+
+/// Robust sum of squared residuals of the model over the observations, with analytic derivatives. Parameters as in ParameterLayout.
+///
+/// Residual: ln((f + t) / (mean + t)) / sigma with t = 1e-3 mean, which is the logarithm of the ratio unless the model is off by a
+/// factor of hundreds and stays finite where it underflows; (f - mean) / sigma for weak signals.
+/// Only normal equations are kept, never a Jacobian, so memory does not grow with the number of cells. The sums run over fixed
+/// chunks: the result has the same bits for any number of threads.
+class Objective {
+ public:
+  /// Keeps a reference: `observations` must outlive the objective and keep their weights.
+  Objective(const Observations& observations, ParameterLayout layout, ObjectiveOptions options);
+
+  const ParameterLayout& layout() const { return layout_; }
+  const Observations& observations() const { return *observations_; }
+
+  double cost(const std::vector<double>& x) const;
+  Quadratic quadratic(const std::vector<double>& x) const;
+
+ private:
+  const Observations* observations_;
+  ParameterLayout layout_;
+  ObjectiveOptions options_;
+};
+
+/// Estimate of the albedo at normal incidence per channel: kd + sum of 4 ks r (1 - exp(-0.6 / m^2)). The lobe's integral over the
+/// hemisphere at normal incidence has no closed form because of shadowing; the last factor is within 2 % of it for all m in (0, 1].
+glm::dvec3 normal_incidence_albedo(const brdf::CookTorrance& model);
+
+}  // namespace lacquer::fit

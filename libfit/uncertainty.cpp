@@ -1,0 +1,150 @@
+#include "libfit/uncertainty.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+namespace lacquer::fit {
+
+namespace {
+
+/// Below this eigenvalue of the correlation-scaled matrix (trace n) a direction carries nothing but rounding errors.
+constexpr double null_eigenvalue = 1e-13;
+/// Share of a parameter in the null directions from which it counts as undetermined.
+constexpr double null_share = 1e-6;
+
+/// Parameters that can have a sigma at all: not those of a lobe that is off, nor those the objective does not react to.
+std::vector<int> live_parameters(const ParameterLayout& layout, const std::vector<double>& x, const Quadratic& q) {
+  std::vector<bool> live(x.size(), true);
+  for (int l = 0; l < layout.n_lobes; ++l) {
+    bool off = true;
+    for (int c = 0; c < layout.n_channels; ++c) off &= x[layout.ks(l, c)] <= 0;
+    if (!off) continue;
+    for (int c = 0; c < layout.n_channels; ++c) live[layout.ks(l, c)] = false;
+    live[layout.log_m(l)] = live[layout.r(l)] = false;
+  }
+  std::vector<int> indices;
+  const int n = layout.size();
+  for (int k = 0; k < n; ++k)
+    if (live[k] && q.curvature[k * n + k] > 0) indices.push_back(k);
+  return indices;
+}
+
+struct Inverse {
+  std::vector<double> covariance;  // of the live parameters
+  std::vector<bool> determined;
+};
+
+/// Pseudo-inverse of the Gauss-Newton matrix on the live parameters; null directions are dropped and those who live in them named.
+Inverse invert(const Quadratic& q, int n, const std::vector<int>& live) {
+  const int size = static_cast<int>(live.size());
+  std::vector<double> scale(live.size()), scaled(live.size() * live.size());
+  for (int i = 0; i < size; ++i) scale[i] = 1 / std::sqrt(q.curvature[live[i] * n + live[i]]);
+  for (int i = 0; i < size; ++i)
+    for (int j = 0; j < size; ++j) scaled[i * size + j] = q.curvature[live[i] * n + live[j]] * scale[i] * scale[j];
+
+  const Eigensystem eigen = symmetric_eigensystem(scaled, size);
+  Inverse result{.covariance = std::vector<double>(scaled.size()), .determined = std::vector<bool>(live.size(), true)};
+  for (int i = 0; i < size; ++i) {
+    double in_null_space = 0;
+    for (int k = 0; k < size; ++k)
+      if (eigen.values[k] < null_eigenvalue) in_null_space += eigen.vectors[k * size + i] * eigen.vectors[k * size + i];
+    result.determined[i] = in_null_space < null_share;
+    for (int j = 0; j < size; ++j) {
+      double sum = 0;
+      for (int k = 0; k < size; ++k)
+        if (eigen.values[k] >= null_eigenvalue)
+          sum += eigen.vectors[k * size + i] * eigen.vectors[k * size + j] / eigen.values[k];
+      result.covariance[i * size + j] = sum * scale[i] * scale[j];
+    }
+  }
+  return result;
+}
+
+}  // namespace
+
+Eigensystem symmetric_eigensystem(std::vector<double> a, int n) {
+  std::vector<double> v(a.size(), 0.0);
+  for (int i = 0; i < n; ++i) v[i * n + i] = 1;
+  for (int sweep = 0; sweep < 60; ++sweep) {
+    double off_diagonal = 0;
+    for (int p = 0; p < n; ++p)
+      for (int q = p + 1; q < n; ++q) {
+        const double apq = a[p * n + q];
+        off_diagonal += std::abs(apq);
+        if (apq == 0) continue;
+        const double theta = (a[q * n + q] - a[p * n + p]) / (2 * apq);
+        const double t = std::copysign(1.0, theta) / (std::abs(theta) + std::hypot(theta, 1.0));
+        const double c = 1 / std::hypot(t, 1.0), s = t * c;
+        for (int k = 0; k < n; ++k) {
+          const double akp = a[k * n + p], akq = a[k * n + q];
+          a[k * n + p] = c * akp - s * akq;
+          a[k * n + q] = s * akp + c * akq;
+        }
+        for (int k = 0; k < n; ++k) {
+          const double apk = a[p * n + k], aqk = a[q * n + k];
+          a[p * n + k] = c * apk - s * aqk;
+          a[q * n + k] = s * apk + c * aqk;
+          const double vpk = v[p * n + k], vqk = v[q * n + k];
+          v[p * n + k] = c * vpk - s * vqk;
+          v[q * n + k] = s * vpk + c * vqk;
+        }
+      }
+    if (off_diagonal == 0) break;
+  }
+  std::vector<int> order(static_cast<std::size_t>(n));
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(), [&](int i, int j) { return a[i * n + i] < a[j * n + j]; });
+  Eigensystem result;
+  for (const int i : order) {
+    result.values.push_back(a[i * n + i]);
+    result.vectors.insert(result.vectors.end(), v.begin() + i * n, v.begin() + (i + 1) * n);
+  }
+  return result;
+}
+
+void add_uncertainty(const Objective& objective, const std::vector<double>& x, double min_m, FitResult& result) {
+  const ParameterLayout& layout = objective.layout();
+  const int n = layout.size();
+  const Quadratic q = objective.quadratic(x);
+  const std::size_t n_values = objective.observations().values.size();
+  result.reduced_chi2 = q.cost / static_cast<double>(std::max<std::size_t>(1, n_values - std::min(n_values, x.size())));
+
+  const std::vector<double> lower = layout.lower_bounds(min_m), upper = layout.upper_bounds();
+  const std::vector<std::string> names = layout.names();
+  std::vector<double> to_public(x.size(), 1.0);  // d(public parameter) / d(solver's)
+  std::vector<bool> is_shape(x.size(), false);
+  result.parameters.clear();
+  for (int k = 0; k < n; ++k)
+    result.parameters.push_back(
+        {.name = names[k], .value = x[k], .at_bound = x[k] <= lower[k] || x[k] >= upper[k], .determined = false});
+  for (int l = 0; l < layout.n_lobes; ++l) {
+    const int log_m = layout.log_m(l);
+    result.parameters[log_m].value = to_public[log_m] = std::exp(x[log_m]);
+    is_shape[log_m] = is_shape[layout.r(l)] = true;
+  }
+  const std::vector<int> live = live_parameters(layout, x, q);
+  const Inverse inverse = invert(q, n, live);
+  const double inflation = std::max(1.0, result.reduced_chi2);
+  std::vector<int> sound;  // positions in `live`
+  for (std::size_t i = 0; i < live.size(); ++i) {
+    const double sigma = std::sqrt(inverse.covariance[i * live.size() + i] * inflation);  // of ln(m) for m
+    if (!inverse.determined[i] || (is_shape[live[i]] && sigma > 1)) continue;
+    result.parameters[live[i]].determined = true;
+    result.parameters[live[i]].sigma = sigma * to_public[live[i]];
+    sound.push_back(static_cast<int>(i));
+  }
+  // A lobe that is off is known to be off; its shape is not known.
+  for (int l = 0; l < layout.n_lobes; ++l) {
+    bool off = true;
+    for (int c = 0; c < layout.n_channels; ++c) off &= x[layout.ks(l, c)] <= 0;
+    for (int c = 0; off && c < layout.n_channels; ++c) result.parameters[layout.ks(l, c)].determined = true;
+  }
+  result.covariance.assign(x.size() * x.size(), 0.0);
+  for (const int i : sound)
+    for (const int j : sound)
+      result.covariance[live[i] * n + live[j]] = inverse.covariance[i * live.size() + static_cast<std::size_t>(j)] * inflation *
+                                                 to_public[live[i]] * to_public[live[j]];
+}
+
+}  // namespace lacquer::fit
