@@ -19,8 +19,9 @@ Calibration calibration_from_rig(const acquire::RigDescription& rig) {
   c.noise.read_noise_e = sensor.read_noise_e;
   c.noise.dark_current_e_per_s = sensor.dark_current_e_per_s;
   const double adc_limit = std::exp2(sensor.bits) - 1;
+  // A full well is read with noise: values within 6 sigma of it may be clipped ones.
   const double full_well_limit =
-      sensor.full_well_e > 0 ? sensor.black_level_dn + sensor.full_well_e / sensor.gain_e_per_dn : adc_limit;
+      sensor.full_well_e > 0 ? sensor.black_level_dn + (sensor.full_well_e - 6 * sensor.read_noise_e) / sensor.gain_e_per_dn : adc_limit;
   c.noise.saturation_dn = std::floor(std::min(adc_limit, full_well_limit));
   c.noise_source = "rig file";
 
@@ -48,7 +49,8 @@ void write_calibration(const std::filesystem::path& file, const Calibration& c, 
                 {"gain_e_per_dn", c.noise.gain_e_per_dn},
                 {"read_noise_e", c.noise.read_noise_e},
                 {"dark_current_e_per_s", c.noise.dark_current_e_per_s},
-                {"saturation_dn", c.noise.saturation_dn}};
+                {"saturation_dn", c.noise.saturation_dn},
+                {"relative_noise", c.noise.relative_noise}};
   j["geometry"] = geometry_to_json(c.geometry);
   j["geometry"]["source"] = c.geometry_source;
   j["scale"] = {{"source", c.scale_source},
@@ -74,6 +76,7 @@ Calibration read_calibration(const std::filesystem::path& file) {
   c.noise.read_noise_e = noise.number("read_noise_e", 0, 1e9);
   c.noise.dark_current_e_per_s = noise.number("dark_current_e_per_s", 0, 1e9);
   c.noise.saturation_dn = noise.number("saturation_dn", 1, 65535);
+  c.noise.relative_noise = noise.number("relative_noise", 0, 1);
 
   const JsonReader geometry = root.object("geometry");
   c.geometry = geometry_from_json(geometry);

@@ -39,9 +39,10 @@ acquire::RigDescription some_rig() {
   return rig;
 }
 
-TEST(Calibration, SaturationIsTheFullWellWhereItComesBeforeTheAdcLimit) {
+TEST(Calibration, SaturationLiesSixSigmaBelowTheFullWellWhereItComesBeforeTheAdcLimit) {
   auto rig = some_rig();
-  EXPECT_EQ(calibration_from_rig(rig).noise.saturation_dn, 64 + 9000 / 2.5);
+  rig.sensor.read_noise_e = 5;
+  EXPECT_EQ(calibration_from_rig(rig).noise.saturation_dn, 64 + (9000 - 30) / 2.5);
   rig.sensor.full_well_e = 1e6;
   EXPECT_EQ(calibration_from_rig(rig).noise.saturation_dn, 4095);
 }
