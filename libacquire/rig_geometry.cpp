@@ -10,11 +10,10 @@ namespace lacquer::acquire {
 
 namespace {
 
-/// Distortion of OpenCV's rational model: value and Jacobian at normalised image coordinates.
+/// Distortion of OpenCV's rational model: value and Jacobian (it is symmetric) at normalised image coordinates.
 struct Distorted {
   glm::dvec2 p;
-  double dx_dx, dx_dy, dy_dx, dy_dy;
-  double determinant() const { return dx_dx * dy_dy - dx_dy * dy_dx; }
+  double dx_dx, mixed, dy_dy;
 };
 
 /// Radial factor N(r^2) / D(r^2) and its derivative by r^2; nullopt at a pole (D <= 0).
@@ -28,8 +27,8 @@ std::optional<RadialFactor> radial_factor(const std::array<double, 8>& k, double
   if (!(denominator > 0)) return std::nullopt;
   const double d_numerator = k[0] + r2 * (2 * k[1] + r2 * 3 * k[4]);
   const double d_denominator = k[5] + r2 * (2 * k[6] + r2 * 3 * k[7]);
-  const double value = numerator / denominator;
-  return RadialFactor{value, (d_numerator - value * d_denominator) / denominator};
+  const double inverse = 1 / denominator, value = numerator * inverse;
+  return RadialFactor{value, (d_numerator - value * d_denominator) * inverse};
 }
 
 /// OpenCV calib3d, "Detailed Description": k1 k2 p1 p2 k3 k4 k5 k6.
@@ -42,13 +41,16 @@ std::optional<Distorted> distort(const std::array<double, 8>& k, const glm::dvec
   return Distorted{{x * f + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * f + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y},
                    f + df * x * x + 2 * p1 * y + 6 * p2 * x,
                    df * x * y + 2 * p1 * x + 2 * p2 * y,
-                   df * x * y + 2 * p1 * x + 2 * p2 * y,
                    f + df * y * y + 6 * p1 * y + 2 * p2 * x};
 }
 
 /// The radial part grows all the way from the centre to `r2`: the point lies on the branch that a lens has, not beyond a fold.
 bool on_first_branch(const std::array<double, 8>& k, double r2) {
-  constexpr int n_steps = 8;
+  // d(r N / D)/dr > 0 certainly holds where A = |N - 1| and B = |D - 1| are small: (1 - A)(1 - B) > 6 A (1 + B) + 6 B (1 + A).
+  const double a = r2 * (std::abs(k[0]) + r2 * (std::abs(k[1]) + r2 * std::abs(k[4])));
+  const double b = r2 * (std::abs(k[5]) + r2 * (std::abs(k[6]) + r2 * std::abs(k[7])));
+  if ((1 - a) * (1 - b) > 6 * (a * (1 + b) + b * (1 + a)) && b < 1) return true;
+  constexpr int n_steps = 16;
   for (int i = 1; i <= n_steps; ++i) {
     const double s = r2 * i / n_steps;
     const auto radial = radial_factor(k, s);
@@ -60,18 +62,17 @@ bool on_first_branch(const std::array<double, 8>& k, double r2) {
 /// Newton iteration for distort(p) = target.
 std::optional<glm::dvec2> undistort(const std::array<double, 8>& k, const glm::dvec2& target) {
   constexpr int max_iterations = 50;
-  constexpr double tolerance = 1e-13;  // of the normalised coordinates; 1e-10 pixels of a long lens
+  constexpr double last_step = 1e-7;  // of the normalised coordinates; convergence is quadratic, so 1e-14 is left after it
   glm::dvec2 p = target;
   for (int i = 0; i < max_iterations; ++i) {
     const auto d = distort(k, p);
     if (!d) return std::nullopt;
     const glm::dvec2 residual = target - d->p;
-    const double det = d->determinant();
+    const double det = d->dx_dx * d->dy_dy - d->mixed * d->mixed;
     if (!(det > 0)) return std::nullopt;
-    const glm::dvec2 step{(d->dy_dy * residual.x - d->dx_dy * residual.y) / det,
-                          (d->dx_dx * residual.y - d->dy_dx * residual.x) / det};
+    const glm::dvec2 step = glm::dvec2(d->dy_dy * residual.x - d->mixed * residual.y, d->dx_dx * residual.y - d->mixed * residual.x) / det;
     p += step;
-    if (glm::dot(step, step) <= tolerance * tolerance * (1 + glm::dot(p, p))) {
+    if (glm::dot(step, step) <= last_step * last_step) {
       if (!on_first_branch(k, glm::dot(p, p))) return std::nullopt;
       return p;
     }

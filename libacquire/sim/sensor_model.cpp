@@ -4,8 +4,10 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
+#include <limits>
 
 #include "libacquire/sim/noise.h"
 
@@ -25,12 +27,15 @@ double approximate_electrons(double mean, double read_variance, double z) {
 }  // namespace
 
 SensorModel::SensorModel(const SensorDescription& sensor, int width, int height)
-    : sensor_(sensor), width_(width), height_(height), max_dn_(static_cast<double>((1 << sensor.bits) - 1)) {}
+    : sensor_(sensor), width_(width), height_(height), max_dn_(static_cast<double>((1 << sensor.bits) - 1)) {
+  const double root = std::sqrt(16 + sensor.full_well_e) - 4;  // root of m = full well - 8 sqrt(m)
+  always_room_ = sensor.full_well_e > 0 ? root * root : std::numeric_limits<double>::infinity();
+}
 
 double SensorModel::electrons(double mean, std::uint64_t key, std::uint64_t index) const {
   const double full_well = sensor_.full_well_e, read = sensor_.read_noise_e;
-  const auto add_read_noise = [&](double e) { return read > 0 ? e + read * normal(mix64(key), index) : e; };
-  const bool may_fill = full_well > 0 && mean + 8 * std::sqrt(mean) > full_well;
+  const auto add_read_noise = [&](double e) { return read > 0 ? e + read * normal(~key, index) : e; };
+  const bool may_fill = mean > always_room_;
   if (mean <= 0) return add_read_noise(0);
   if (mean <= largest_exact_mean) {
     const double shot = poisson_quantile(mean, uniform(key, index));
@@ -47,7 +52,7 @@ std::uint16_t SensorModel::value(double x) const {
     const double range = max_dn_ - sensor_.black_level_dn;
     dn = std::copysign(range * std::pow(std::abs(x) / range, 1 / sensor_.gamma), x);
   }
-  return static_cast<std::uint16_t>(std::clamp(std::floor(dn + sensor_.black_level_dn + 0.5), 0.0, max_dn_));
+  return static_cast<std::uint16_t>(std::clamp(dn + sensor_.black_level_dn, 0.0, max_dn_) + 0.5);
 }
 
 RawFrame SensorModel::expose(const RadianceImage& image, double light, const CaptureSettings& settings, std::uint64_t key) const {
@@ -61,12 +66,16 @@ RawFrame SensorModel::expose(const RadianceImage& image, double light, const Cap
   const double dark = sensor_.dark_current_e_per_s * settings.exposure_s;
   const double dn_per_electron = std::pow(10.0, settings.gain_db / 20) / sensor_.gain_e_per_dn;
 
+  std::array<std::array<int, 3>, 4> channels{};  // of the values of a pixel at (x & 1, y & 1): mosaics repeat every 2 x 2 pixels
+  for (int i = 0; i < 4; ++i)
+    for (int k = 0; k < n_values; ++k) channels[static_cast<std::size_t>(i)][static_cast<std::size_t>(k)] = channel_of(sensor_.layout, i & 1, i >> 1, k);
+
   tbb::parallel_for(tbb::blocked_range<int>(0, height_, 8), [&](const tbb::blocked_range<int>& rows) {
     for (int y = rows.begin(); y != rows.end(); ++y) {
       std::size_t at = row_length * static_cast<std::size_t>(y);
       for (int x = 0; x < width_; ++x) {
         for (int k = 0; k < n_values; ++k, ++at) {
-          const int channel = channel_of(sensor_.layout, x, y, k);
+          const int channel = channels[static_cast<std::size_t>((x & 1) + 2 * (y & 1))][static_cast<std::size_t>(k)];
           const double signal = static_cast<double>(image.at(channel, x, y)) * electrons_per_radiance[channel];
           frame.data[at] = value(electrons(std::max(signal, 0.0) + dark, key, at) * dn_per_electron);
         }

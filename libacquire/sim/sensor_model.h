@@ -55,6 +55,7 @@ class SensorModel {
   SensorDescription sensor_;
   int width_, height_;
   double max_dn_;
+  double always_room_;  ///< mean electrons up to which 8 sigma of shot noise stay below the full well
 };
 
 }  // namespace lacquer::acquire::sim
