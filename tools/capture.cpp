@@ -1,0 +1,56 @@
+#include <fmt/format.h>
+
+#include <chrono>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include "libacquire/open_rig.h"
+#include "libacquire/session.h"
+#include "libbrdf/brdf.h"
+#include "libbrdf/error.h"
+#include "tools/command.h"
+
+namespace lacquer::tools {
+
+namespace {
+
+struct Options {
+  std::string rig, paint, data, session;
+};
+
+void run(const Options& options, const Context& context) {
+  acquire::RigDescription rig = acquire::read_rig(options.rig, options.data);
+  std::shared_ptr<const brdf::Brdf> paint;
+  if (rig.kind == acquire::RigDescription::Kind::simulated) {
+    if (!options.paint.empty()) rig.simulation.paint = options.paint;
+    if (rig.simulation.paint.empty())
+      throw Error(ErrorCode::usage, options.rig + ": simulation.paint: missing; state it there or give --paint FILE");
+    paint = brdf::load_brdf(rig.simulation.paint);
+  } else if (!options.paint.empty()) {
+    throw Error(ErrorCode::usage, "--paint: only a simulated rig can be given a paint");
+  }
+
+  const auto start = std::chrono::steady_clock::now();
+  acquire::Rig devices = acquire::open_rig(rig, std::move(paint));
+  const acquire::Session session =
+      acquire::capture_session(devices, rig, options.session, context.command_line, stderr_progress(context));
+  std::size_t n_frames = 0;
+  for (const acquire::ViewRecord& view : session.views) n_frames += view.frames.size();
+  fmt::print("{}: {} views, {} frames, {:.1f} s\n", session.folder.string(), session.views.size(), n_frames,
+             std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
+}
+
+}  // namespace
+
+void add_capture(CLI::App& app, Context& context) {
+  auto* command = app.add_subcommand("capture", "photograph a sphere as the rig file plans it: rig -> raw frames of a session");
+  const auto options = std::make_shared<Options>();
+  command->add_option("rig", options->rig, "rig file (TOML), e.g. rigs/simulated-quick.toml")->required();
+  command->add_option("--paint", options->paint, "simulated rig: any BRDF file, instead of the rig file's simulation.paint");
+  command->add_option("--data", options->data, "replay rig: folder of the photographs, instead of the rig file's replay.folder");
+  command->add_option("-o,--output", options->session, "folder of the session, new or empty")->required();
+  command->callback([options, &context] { run(*options, context); });
+}
+
+}  // namespace lacquer::tools
