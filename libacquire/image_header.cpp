@@ -2,9 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
-#include <vector>
 
 #include "libbrdf/error.h"
 
@@ -131,51 +131,73 @@ class TiffField {
   std::uint64_t size_, count_ = 0, at_ = 0;
 };
 
-/// Where the pixels lie: strips or tiles, all inside the file. Returns their bytes.
-std::uint64_t check_tiff_strips(const Bytes& file, const TiffField& offsets, const TiffField& counts) {
+/// Where the pixels lie: strips or tiles, all inside the file.
+void check_tiff_strips(const Bytes& file, const TiffField& offsets, const TiffField& counts) {
   if (offsets.count() != counts.count()) fail(file.name(), "TIFF is damaged: as many strip sizes as strips are needed");
-  std::uint64_t total = 0;
-  for (std::uint64_t i = 0; i < offsets.count(); ++i) {
+  for (std::uint64_t i = 0; i < offsets.count(); ++i)
     if (!file.holds(offsets[i], counts[i]))
       fail(file.name(), fmt::format("file is cut short: {} bytes, strip {} of {} ends at byte {}", file.size(), i, offsets.count(),
                                     std::uint64_t{offsets[i]} + counts[i]));
-    total += counts[i];
+}
+
+/// First directory of a TIFF.
+class TiffDirectory {
+ public:
+  explicit TiffDirectory(const Bytes& file) : file_(file), at_(file.u32(4)), n_entries_(file.u16(at_)) {}
+  bool has(std::uint32_t tag) const { return find(tag) != 0; }
+  TiffField required(std::uint32_t tag, const char* what) const {
+    if (!has(tag)) fail(file_.name(), fmt::format("TIFF is damaged: no {}", what));
+    return TiffField(file_, find(tag));
   }
-  return total;
+  std::uint32_t number(std::uint32_t tag, std::uint32_t absent) const { return has(tag) ? TiffField(file_, find(tag))[0] : absent; }
+
+ private:
+  std::uint64_t find(std::uint32_t tag) const {
+    for (std::uint64_t i = 0; i < n_entries_; ++i)
+      if (file_.u16(at_ + 2 + 12 * i) == tag) return at_ + 2 + 12 * i;
+    return 0;
+  }
+  const Bytes& file_;
+  std::uint64_t at_, n_entries_;
+};
+
+/// Strips or tiles are complete: the decoder would return what is there and leave the rest grey.
+void check_tiff_layout(const Bytes& file, const TiffDirectory& directory, const ImageHeader& header, bool compressed) {
+  const std::string& name = file.name();
+  if (directory.has(324)) return check_tiff_strips(file, directory.required(324, "tiles"), directory.required(325, "tile sizes"));
+  const TiffField strips = directory.required(273, "strips"), sizes = directory.required(279, "strip sizes");
+  check_tiff_strips(file, strips, sizes);
+  const auto height = static_cast<std::uint64_t>(header.height), channels = static_cast<std::uint64_t>(header.channels);
+  const std::uint64_t rows = std::min<std::uint64_t>(directory.number(278, 0xffffffffu), height);  // of one strip
+  const bool separate_planes = directory.number(284, 1) == 2;
+  const std::uint64_t strips_per_plane = rows == 0 ? 0 : (height + rows - 1) / rows;
+  if (rows == 0 || strips.count() != strips_per_plane * (separate_planes ? channels : 1))
+    fail(name, fmt::format("TIFF is damaged: {} strips of {} rows for {} rows", strips.count(), rows, height));
+  if (compressed) return;
+  const std::uint64_t row_bytes = static_cast<std::uint64_t>(header.width) * (separate_planes ? 1 : channels) * (header.bits / 8u);
+  for (std::uint64_t i = 0; i < strips.count(); ++i) {
+    const std::uint64_t first_row = (i % strips_per_plane) * rows;
+    const std::uint64_t expected = std::min(rows, height - first_row) * row_bytes;
+    if (sizes[i] < expected) fail(name, fmt::format("file is cut short: strip {} has {} bytes, expected {}", i, sizes[i], expected));
+  }
 }
 
 ImageHeader tiff_header(const Bytes& file) {
   const std::string& name = file.name();
   if (file.u16(2) != 42) fail(name, "this kind of TIFF (BigTIFF) is not supported; expected a classic TIFF");
-  const std::uint64_t directory = file.u32(4);
-  const std::uint64_t n_entries = file.u16(directory);
-  const auto find = [&](std::uint32_t tag) -> std::uint64_t {
-    for (std::uint64_t i = 0; i < n_entries; ++i)
-      if (file.u16(directory + 2 + 12 * i) == tag) return directory + 2 + 12 * i;
-    return 0;
-  };
-  const auto required = [&](std::uint32_t tag, const char* what) {
-    const std::uint64_t entry = find(tag);
-    if (entry == 0) fail(name, fmt::format("TIFF is damaged: no {}", what));
-    return TiffField(file, entry);
-  };
-  const auto number = [&](std::uint32_t tag, std::uint32_t absent) {
-    const std::uint64_t entry = find(tag);
-    return entry == 0 ? absent : TiffField(file, entry)[0];
-  };
-  const std::uint32_t channels = number(277, 1);
-  const ImageHeader header =
-      checked(name, required(256, "width")[0], required(257, "height")[0], required(258, "bits per sample")[0], channels);
-  if (number(339, 1) != 1) fail(name, "TIFF has signed or floating-point values; expected unsigned integers");
-  const std::uint32_t photometric = number(262, channels == 1 ? 1 : 2);
-  if (photometric != (channels == 1 ? 1u : 2u)) fail(name, fmt::format("TIFF has photometric interpretation {}; expected grey (1) or RGB (2)", photometric));
-
-  const bool tiled = find(324) != 0;
-  const std::uint64_t stored = tiled ? check_tiff_strips(file, required(324, "tiles"), required(325, "tile sizes"))
-                                     : check_tiff_strips(file, required(273, "strips"), required(279, "strip sizes"));
-  const std::uint64_t expected = std::uint64_t(header.width) * header.height * channels * (header.bits / 8u);
-  if (number(259, 1) == 1 && stored < expected)
-    fail(name, fmt::format("file is cut short: {} bytes of pixels, expected {}", stored, expected));
+  const TiffDirectory directory(file);
+  const std::uint32_t channels = directory.number(277, 1);
+  const ImageHeader header = checked(name, directory.required(256, "width")[0], directory.required(257, "height")[0],
+                                     directory.required(258, "bits per sample")[0], channels);
+  if (directory.number(339, 1) != 1) fail(name, "TIFF has signed or floating-point values; expected unsigned integers");
+  const std::uint32_t photometric = directory.required(262, "photometric interpretation")[0];
+  if (photometric != (channels == 1 ? 1u : 2u))
+    fail(name, fmt::format("TIFF has photometric interpretation {}; expected grey (1) or RGB (2)", photometric));
+  const std::uint32_t compression = directory.number(259, 1);
+  constexpr std::array<std::uint32_t, 5> lossless = {1, 5, 8, 32773, 32946};  // none, LZW, Deflate, PackBits, Deflate (old number)
+  if (std::find(lossless.begin(), lossless.end(), compression) == lossless.end())
+    fail(name, fmt::format("TIFF has compression {}; expected none, LZW, Deflate or PackBits", compression));
+  check_tiff_layout(file, directory, header, compression != 1);
   return header;
 }
 
