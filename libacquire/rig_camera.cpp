@@ -37,28 +37,29 @@ RigidTransform parallel_pose(const glm::dvec3& sphere_in_cam) {
   return {glm::dmat3({1, 0, 0}, {0, -1, 0}, {0, 0, -1}), sphere_in_cam};
 }
 
-/// The sphere's centre in the camera frame from its outline. Pinhole: on the line of sight of the circle's centre, as far as the angle
-/// of the outline says (mean over four points); near the optical axis the outline is a circle to (tan of its angle)^2.
+/// The sphere's centre in the camera frame from its outline. Pinhole: the lines of sight of the outline form a cone around the sphere's
+/// centre. Its axis halves the angle between the two outline points on the line through the principal point; its angle is the mean
+/// along and across that line (pixels that are not square). The outline is an ellipse, longer along that line by half the square of the
+/// tangent of its angle off the optical axis, 3e-4 at 1.4 deg: taken as a circle.
 /// Orthographic: the distance is arbitrary; the scale is not, and is set here.
 glm::dvec3 sphere_from_circle(const TomlTable& camera, const ImageCircle& circle, RigGeometry& geometry) {
   CameraModel& model = geometry.camera;
+  const glm::dvec2 offset = circle.centre - model.centre;
   if (model.projection == Projection::orthographic) {
     model.focal = glm::dvec2(circle.radius / geometry.sphere_radius);
-    const glm::dvec2 offset = (circle.centre - model.centre) / model.focal;
-    return {offset, 20 * geometry.sphere_radius};
+    return {offset / model.focal, 20 * geometry.sphere_radius};
   }
   const auto ray_of = [&](const glm::dvec2& pixel) {
     const auto ray = model.unproject(pixel);
     if (!ray) camera.fail("distortion", fmt::format("cannot be inverted at pixel ({:.1f}, {:.1f}), which shows the sphere", pixel.x, pixel.y));
     return ray->direction;
   };
-  const glm::dvec3 axis = ray_of(circle.centre);
-  double angle = 0;
-  for (const glm::dvec2& d : {glm::dvec2(1, 0), glm::dvec2(-1, 0), glm::dvec2(0, 1), glm::dvec2(0, -1)}) {
-    const glm::dvec3 edge = ray_of(circle.centre + circle.radius * d);
-    angle += std::atan2(glm::length(glm::cross(axis, edge)), glm::dot(axis, edge)) / 4;
-  }
-  return axis * (geometry.sphere_radius / std::sin(angle));
+  const auto half_angle = [](const glm::dvec3& a, const glm::dvec3& b) { return 0.5 * std::atan2(glm::length(glm::cross(a, b)), glm::dot(a, b)); };
+  const glm::dvec2 along = circle.radius * (glm::length(offset) > 0 ? glm::normalize(offset) : glm::dvec2(1, 0));
+  const glm::dvec2 across(-along.y, along.x);
+  const glm::dvec3 inner = ray_of(circle.centre - along), outer = ray_of(circle.centre + along);
+  const double angle = 0.5 * (half_angle(inner, outer) + half_angle(ray_of(circle.centre - across), ray_of(circle.centre + across)));
+  return glm::normalize(inner + outer) * (geometry.sphere_radius / std::sin(angle));
 }
 
 RigidTransform stated_pose(const TomlTable& t, RigGeometry& geometry) {

@@ -43,8 +43,8 @@ std::string plain_message(const std::string& what) {
 }
 
 std::string expected_range(Range range) {
-  if (range.min_excluded) return fmt::format("a number above {} and at most {}", range.min, range.max);
-  return fmt::format("a number from {} to {}", range.min, range.max);
+  if (range.min_excluded) return fmt::format("a number above {:g} and at most {:g}", range.min, range.max);
+  return fmt::format("a number from {:g} to {:g}", range.min, range.max);
 }
 
 std::string kind_of(const toml::value& v) {
