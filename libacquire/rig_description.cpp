@@ -90,7 +90,7 @@ void read_sensor(const TomlTable& root, RigDescription& rig) {
   SensorDescription& s = rig.sensor;
   const bool simulated = rig.kind == RigDescription::Kind::simulated;
   const auto table = root.table("sensor", {"black_level_dn", "gain_e_per_dn", "read_noise_e", "full_well_e", "dark_current_e_per_s",
-                                           "sensitivity_e_per_s", "vignetting", "response", "gamma"});
+                                           "sensitivity_e_per_s", "vignetting", "lens_blur_px", "response", "gamma"});
   if (!table) {
     if (simulated) root.fail("", "[sensor]: missing; a simulated rig needs its sensitivity_e_per_s");
     return;
@@ -104,6 +104,7 @@ void read_sensor(const TomlTable& root, RigDescription& rig) {
   if (simulated && !t.has("sensitivity_e_per_s")) t.number("sensitivity_e_per_s", Range::above(0, 1e15));  // says that it is missing
   s.sensitivity = t.per_channel("sensitivity_e_per_s", Range::above(0, 1e15), s.sensitivity);
   s.vignetting = t.number("vignetting", Range::at_least(0, 0.99), s.vignetting);
+  s.lens_blur_px = t.number("lens_blur_px", {0, 100}, s.lens_blur_px);
   s.response = static_cast<SensorDescription::Response>(t.choice("response", {"linear", "gamma", "estimate"}, 0));
   const bool curved = s.response == SensorDescription::Response::gamma;
   if (t.has("gamma") && !curved) t.fail("gamma", "only with response = \"gamma\"");

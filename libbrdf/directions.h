@@ -27,6 +27,8 @@ struct HalfAngleCosines {
   T n_dot_h;       ///< cos(theta_h)
   T i_dot_h;       ///< cos(theta_d)
   T tan2_theta_h;  ///< tan^2(theta_h)
+  T footprint2 = 0;  ///< spread of the half vector over a measurement's footprint (pixel, lens blur, emitter): variance of its slope
+                     ///< against the normal, both axes summed. A Beckmann lobe seen through it has m^2 + footprint2 in place of m^2.
 };
 
 /// Half/difference coordinates of two unit directions. Accurate to a few ulp at h = n, wi = wo and at grazing.

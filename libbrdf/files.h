@@ -17,7 +17,7 @@
 namespace lacquer::brdf {
 
 /// Our table: EXR, 16200 x 90 pixels (x = phi_d + 180 theta_d, y = theta_h), ZIPS. Channels per colour C in {R, G, B} or {Y}:
-/// C.mean, C.variance, C.theta_h, C.theta_d, C.phi_d (float), C.count, C.origin (uint). Header attributes "lacquer.version" (int),
+/// C.mean, C.variance, C.theta_h, C.theta_d, C.phi_d, C.footprint2 (float), C.count, C.origin (uint). Header attributes "lacquer.version" (int),
 /// "lacquer.absolute_scale" (int), "lacquer.provenance" (string, JSON).
 void write_table(const std::filesystem::path& file, const HalfAngleTable& table);
 HalfAngleTable read_table(const std::filesystem::path& file);

@@ -60,6 +60,7 @@ TableChannel::TableChannel()
       theta_h(TableGrid::n_cells),
       theta_d(TableGrid::n_cells),
       phi_d(TableGrid::n_cells),
+      footprint2(TableGrid::n_cells),
       origin(TableGrid::n_cells, CellOrigin::empty) {}
 
 HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine) {
@@ -87,7 +88,8 @@ HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine) {
 
 TableAccumulator::TableAccumulator(std::size_t n_channels) : sums_(n_channels, std::vector<Sums>(TableGrid::n_cells)) {}
 
-void TableAccumulator::add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight) {
+void TableAccumulator::add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight,
+                           double footprint2) {
   assert(weight > 0 && std::isfinite(value) && variance >= 0);
   const TableGrid::Cell cell = TableGrid::cell(c);
   const HalfDiff centre = TableGrid::centre(cell);
@@ -98,6 +100,7 @@ void TableAccumulator::add(std::size_t channel, const HalfDiff& c, double value,
   s.theta_h += static_cast<float>(weight * (c.theta_h - centre.theta_h));
   s.theta_d += static_cast<float>(weight * (c.theta_d - centre.theta_d));
   s.phi_d += static_cast<float>(weight * (fold_phi_d(c.phi_d) - centre.phi_d));
+  s.footprint2 += static_cast<float>(weight * footprint2);
   ++s.count;
   ++n_samples_;
 }
@@ -116,6 +119,7 @@ HalfAngleTable TableAccumulator::table(bool symmetrise) const {
       t.theta_h[i] = static_cast<float>(centre.theta_h + s.theta_h / s.weight);
       t.theta_d[i] = static_cast<float>(centre.theta_d + s.theta_d / s.weight);
       t.phi_d[i] = stored_phi_d(centre.phi_d + s.phi_d / s.weight);
+      t.footprint2[i] = static_cast<float>(s.footprint2 / s.weight);
       t.origin[i] = CellOrigin::measured;
     }
     if (!symmetrise) continue;
@@ -130,6 +134,7 @@ HalfAngleTable TableAccumulator::table(bool symmetrise) const {
       t.count[i] = t.count[j];
       t.theta_h[i] = t.theta_h[j];
       t.theta_d[i] = t.theta_d[j];
+      t.footprint2[i] = t.footprint2[j];
       t.phi_d[i] = stored_phi_d(pi - static_cast<double>(t.phi_d[j]));
       t.origin[i] = CellOrigin::symmetric;
     }

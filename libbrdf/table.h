@@ -58,6 +58,7 @@ struct TableChannel {
   std::vector<float> variance;      ///< of the mean, (1/sr)^2; 0 means exact (synthetic)
   std::vector<std::uint32_t> count; ///< samples in the cell
   std::vector<float> theta_h, theta_d, phi_d;  ///< weighted mean coordinates of the samples, radians, phi_d in [0, pi)
+  std::vector<float> footprint2;    ///< weighted mean of HalfAngleCosines::footprint2; 0: point samples
   std::vector<CellOrigin> origin;
 
   TableChannel();
@@ -83,7 +84,8 @@ class TableAccumulator {
 
   /// One measurement of f_r. `weight`: proportional to the irradiance at the pixel (cosine included), so that the cell's value is
   /// the ratio of summed radiance to summed irradiance, which is unbiased whatever the noise. `variance` of `value`, (1/sr)^2.
-  void add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight);
+  /// `footprint2` as in HalfAngleCosines.
+  void add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight, double footprint2 = 0);
 
   /// Mirror symmetry f(phi_d) = f(pi - phi_d): with `symmetrise`, empty cells take the mirror cell's value, flagged `symmetric`.
   HalfAngleTable table(bool symmetrise) const;
@@ -94,6 +96,7 @@ class TableAccumulator {
   struct Sums {
     double weight = 0, weighted_value = 0, weighted_variance = 0;  // of w, w*f, w^2*var
     float theta_h = 0, theta_d = 0, phi_d = 0;                      // of w * (coordinate - centre)
+    float footprint2 = 0;                                           // of w * footprint2
     std::uint32_t count = 0;
   };
   std::vector<std::vector<Sums>> sums_;

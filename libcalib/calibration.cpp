@@ -32,6 +32,7 @@ Calibration calibration_from_rig(const acquire::RigDescription& rig) {
   c.geometry_source = "rig file";
   c.dn_per_radiance = sensor.sensitivity / sensor.gain_e_per_dn;
   c.vignetting = sensor.vignetting;
+  c.lens_blur_px = sensor.lens_blur_px;
   c.absolute_scale = rig.absolute_scale;
   c.scale_source = rig.absolute_scale ? "rig file" : "none: relative";
   return c;
@@ -56,7 +57,8 @@ void write_calibration(const std::filesystem::path& file, const Calibration& c, 
   j["scale"] = {{"source", c.scale_source},
                 {"absolute", c.absolute_scale},
                 {"dn_per_radiance", vector_to_json(c.dn_per_radiance)},
-                {"vignetting", c.vignetting}};
+                {"vignetting", c.vignetting},
+                {"lens_blur_px", c.lens_blur_px}};
   brdf::write_text_atomically(file, j.dump(1) + "\n");
 }
 
@@ -87,6 +89,7 @@ Calibration read_calibration(const std::filesystem::path& file) {
   c.absolute_scale = scale.boolean("absolute");
   c.dn_per_radiance = scale.vector3("dn_per_radiance", 1e-30, 1e30);
   c.vignetting = scale.number("vignetting", 0, 0.999);
+  c.lens_blur_px = scale.number("lens_blur_px", 0, 100);
   return c;
 }
 

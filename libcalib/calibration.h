@@ -22,6 +22,7 @@ struct Calibration {
   bool absolute_scale = true;
   std::string scale_source;
   double vignetting = 0;              ///< as SensorDescription::vignetting
+  double lens_blur_px = 0;            ///< sigma of the lens blur, pixels
 };
 
 /// Takes all of it from the rig file: nominal geometry, data-sheet noise, linear response (or `response`, when given).

@@ -44,6 +44,35 @@ double lens_transmission(const Calibration& calibration, const glm::dvec2& pixel
   return 1 - calibration.vignetting * (offset.x * offset.x + offset.y * offset.y) / (corner_x * corner_x + corner_y * corner_y);
 }
 
+/// Squared change of the normal per pixel, in x plus in y, by differences over one pixel.
+double normal_change_per_pixel2(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
+  double sum = 0;
+  for (const glm::dvec2 half_step : {glm::dvec2(0.5, 0), glm::dvec2(0, 0.5)}) {
+    const auto before = acquire::trace(rig, pixel - half_step), after = acquire::trace(rig, pixel + half_step);
+    if (!before || !after) continue;  // on the silhouette itself; such pixels are no samples
+    const glm::dvec3 change = after->normal - before->normal;
+    sum += glm::dot(change, change);
+  }
+  return sum;
+}
+
+/// Variance of the half vector's slope over a pixel's footprint, both axes summed. Moving over the surface turns the normal by
+/// dp/R, and wi and wo the other way by dp/d each, of which the half vector takes half; the emitter (a disc: variance D^2/16 per axis)
+/// turns wi alone, the half vector by half of it in the plane of wi and wo and by 1/(2 cos theta_d) across.
+double half_vector_footprint2(const Calibration& calibration, const acquire::PlacedLight& light, const acquire::SurfacePoint& point,
+                              double normal_change2, double theta_d) {
+  const double radius = calibration.geometry.sphere_radius;
+  const double blur2 = 1.0 / 12 + calibration.lens_blur_px * calibration.lens_blur_px;  // of the pixel's area and the lens, px^2 per axis
+  double turn = 1;
+  if (calibration.geometry.camera.projection == acquire::CameraModel::Projection::pinhole)
+    turn += radius / (2 * glm::length(calibration.geometry.cam_from_rig * point.position));
+  if (light.distant) return blur2 * normal_change2 * turn * turn;
+  const glm::dvec3 to_light = light.position - point.position;
+  const double distance2 = glm::dot(to_light, to_light), cos_d = std::cos(theta_d);
+  turn += radius / (2 * std::sqrt(distance2));
+  return blur2 * normal_change2 * turn * turn + light.diameter * light.diameter / (16 * distance2) * 0.25 * (1 + 1 / (cos_d * cos_d));
+}
+
 }  // namespace
 
 void SampleOptions::validate() const {
@@ -85,7 +114,7 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
         continue;
       }
       rows[static_cast<std::size_t>(y)].push_back(
-          {static_cast<std::size_t>(y) * width + x, *point, lens_transmission(calibration_, pixel)});
+          {static_cast<std::size_t>(y) * width + x, *point, lens_transmission(calibration_, pixel), normal_change_per_pixel2(rig, pixel)});
     }
   });
   for (std::size_t y = 0; y < rows.size(); ++y) {
@@ -119,9 +148,11 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
         const auto lit = acquire::illuminate(placed, pixel.point);
         const double cos_i = lit ? glm::dot(pixel.point.normal, lit->wi) : 0.0;
         brdf::HalfDiff coordinates{};
+        double footprint2 = 0;
         if (cos_i >= options_.min_cosine) {
           const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
           coordinates = brdf::half_diff({local.wi, local.wo});
+          footprint2 = half_vector_footprint2(calibration_, placed, pixel.point, pixel.normal_change2, coordinates.theta_d);
         }
         for (std::size_t k = 0; k < per_pixel; ++k) {
           const std::size_t slot = i * per_pixel + k, value = pixel.index * per_pixel + k;
@@ -138,7 +169,7 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
           // f_r = radiance / irradiance
           const double scale = 1.0 / (calibration_.dn_per_radiance[channel] * pixel.transmission * lit->irradiance[channel]);
           const double weight = lit->irradiance[channel] / (placed.intensity[channel] * reference);
-          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, channel};
+          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, footprint2, channel};
         }
       }
     });
@@ -198,7 +229,7 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
     const RadianceImage image = read_radiance(session.radiance_path(view));
     counts += sampler.sample_view(image, static_cast<std::size_t>(view.light), view.turntable_angle, [&](std::span<const Sample> samples) {
       for (const Sample& s : samples)
-        accumulator.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight);
+        accumulator.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint2);
     });
     if (progress) progress("tabulate", i + 1, session.views.size());
   }

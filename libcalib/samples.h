@@ -26,6 +26,7 @@ struct Sample {
   double value;     ///< f_r, 1/sr
   double variance;  ///< of value
   double weight;    ///< irradiance relative to the light's irradiance on axis, cosine included
+  double footprint2;  ///< spread of the half vector over pixel, lens blur and emitter, as brdf::HalfAngleCosines::footprint2
   int channel;      ///< 0 R or Y, 1 G, 2 B
 };
 
@@ -59,6 +60,7 @@ class Sampler {
     std::size_t index;  ///< y * width + x
     acquire::SurfacePoint point;
     double transmission;  ///< of the lens there: 1 - vignetting
+    double normal_change2;  ///< squared change of the normal per pixel step in x plus that in y, radians^2
   };
   std::size_t n_masked_ = 0;
   Calibration calibration_;
