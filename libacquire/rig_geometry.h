@@ -47,7 +47,7 @@ struct CameraModel {
 
 /// One light. Near point light (`position`) or distant (`direction`).
 struct Light {
-  std::string name;
+  std::string name = {};
   bool distant = false;
   bool on_arm = true;              ///< turns with the turntable
   glm::dvec3 position{0.0};        ///< near: metres, rig frame at turntable angle 0

@@ -73,10 +73,12 @@ RawFrame SensorModel::expose(const RadianceImage& image, double light, const Cap
   tbb::parallel_for(tbb::blocked_range<int>(0, height_, 8), [&](const tbb::blocked_range<int>& rows) {
     for (int y = rows.begin(); y != rows.end(); ++y) {
       std::size_t at = row_length * static_cast<std::size_t>(y);
+      std::array<const float*, 3> row{};
+      for (int c = 0; c < image.n_channels; ++c) row[static_cast<std::size_t>(c)] = image.data.data() + image.index(c, 0, y);
       for (int x = 0; x < width_; ++x) {
         for (int k = 0; k < n_values; ++k, ++at) {
-          const int channel = channels[static_cast<std::size_t>((x & 1) + 2 * (y & 1))][static_cast<std::size_t>(k)];
-          const double signal = static_cast<double>(image.at(channel, x, y)) * electrons_per_radiance[channel];
+          const auto channel = static_cast<std::size_t>(channels[static_cast<std::size_t>((x & 1) + 2 * (y & 1))][static_cast<std::size_t>(k)]);
+          const double signal = static_cast<double>(row[channel][x]) * electrons_per_radiance[static_cast<int>(channel)];
           frame.data[at] = value(electrons(std::max(signal, 0.0) + dark, key, at) * dn_per_electron);
         }
       }
