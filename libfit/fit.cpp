@@ -1,6 +1,7 @@
 #include "libfit/fit.h"
 
 #include <fmt/format.h>
+#include <tbb/info.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -77,7 +78,7 @@ std::vector<Candidate> find_candidates(const Observations& subset, const Paramet
   std::vector<Candidate> candidates;
   for (std::size_t i = 0; i < starts.size(); ++i) {
     const Solution solution = minimise(objective, layout.pack(starts[i]),
-                                       {.min_m = options.min_m, .max_iterations = options.max_iterations, .function_tolerance = 1e-7});
+                                       {.min_m = options.min_m, .max_iterations = options.max_iterations, .function_tolerance = 1e-6});
     candidates.push_back({sorted_by_falling_m(layout.unpack(solution.x)), solution.cost / n_values});
     if (progress) progress("fit", i + 1, starts.size() + 1);
   }
@@ -159,7 +160,9 @@ FitResult fit_table(const brdf::HalfAngleTable& table, const FitOptions& options
   options.validate();
   check_table(table);
   const auto start = std::chrono::steady_clock::now();
-  tbb::task_arena arena(options.threads == 0 ? tbb::task_arena::automatic : static_cast<int>(options.threads));
+  // More threads than cores gain nothing, and TBB would complain on stderr.
+  const int cores = tbb::info::default_concurrency();
+  tbb::task_arena arena(options.threads == 0 ? cores : std::min(cores, static_cast<int>(std::min(options.threads, 4096u))));
   FitResult result = arena.execute([&] { return fit_checked(table, options, progress); });
   result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return result;

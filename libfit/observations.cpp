@@ -104,7 +104,7 @@ std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& c
   if (cells.size() <= max_cells) return cells;
   int width = 1;
   std::vector<std::uint32_t> sizes = group_sizes(cells, width);
-  while (sizes.size() > max_cells && width < TableGrid::n_theta_d) sizes = group_sizes(cells, ++width);
+  while (sizes.size() > max_cells && width < TableGrid::n_theta_d) sizes = group_sizes(cells, width *= 2);
   if (sizes.size() > max_cells) sizes = {static_cast<std::uint32_t>(cells.size())};  // fewer cells asked for than theta_h rows
 
   std::uint32_t low = 1, high = static_cast<std::uint32_t>(max_cells);  // largest limit per group that keeps the total
@@ -113,12 +113,21 @@ std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& c
     if (total_with_limit(sizes, middle) <= max_cells) low = middle;
     else high = middle - 1;
   }
+  // What is left over goes to every so many-th of the groups that have more.
+  const auto larger = static_cast<std::uint64_t>(std::count_if(sizes.begin(), sizes.end(), [&](auto size) { return size > low; }));
+  const std::uint64_t left_over = max_cells - total_with_limit(sizes, low);
+  std::uint64_t seen = 0;
+
   std::vector<std::uint32_t> chosen;
   chosen.reserve(max_cells);
   std::size_t begin = 0;
   double shift = 0;
   for (const std::uint32_t size : sizes) {
-    const std::uint32_t n = std::min(size, low);
+    std::uint32_t n = std::min(size, low);
+    if (size > low) {
+      if ((seen + 1) * left_over / larger > seen * left_over / larger) ++n;
+      ++seen;
+    }
     for (std::uint32_t k = 0; k < n; ++k) {
       // The first place within a step moves from group to group by the golden ratio, so that phi_d is covered evenly as a whole.
       const auto place = static_cast<std::size_t>((k + (n == size ? 0.0 : shift)) * size / n);
@@ -145,7 +154,10 @@ Observations observe(const brdf::HalfAngleTable& table, const std::vector<std::u
       if (!usable(t, i, options.min_cosine, ignored)) continue;
       const brdf::HalfDiff here = coordinates(t, i);
       const auto next = static_cast<std::uint32_t>(result.values.size());
-      if (!same_coordinates(here, previous)) result.points.push_back({brdf::half_angle_cosines(here), next, next});
+      if (!same_coordinates(here, previous)) {
+        result.points.push_back({brdf::half_angle_cosines(here), next, next});
+        result.points.back().cosines.footprint2 = t.footprint2[i];
+      }
       previous = here;
       result.values.push_back({.mean = t.mean[i], .variance = t.variance[i], .channel = static_cast<std::uint8_t>(c)});
       result.points.back().end = next + 1;

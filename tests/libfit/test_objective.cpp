@@ -1,0 +1,169 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "fit_test_support.h"
+#include "libfit/objective.h"
+
+namespace lacquer::test {
+namespace {
+
+using fit::Objective;
+using fit::Observations;
+using fit::ParameterLayout;
+
+Observations some_observations(double relative, double floor) {
+  const brdf::HalfAngleTable table = with_noise(table_of(paint("polaris-silber")), relative, floor, 5);
+  const fit::FitOptions options{.max_cells = 2000};
+  fit::LeftOut left_out;
+  return fit::observe(table, fit::stratified_choice(fit::usable_cells(table, options, left_out), options.max_cells), options);
+}
+
+/// A model away from the truth, so that residuals are large and both branches of the Huber loss occur.
+std::vector<double> off_truth(const ParameterLayout& layout) {
+  brdf::CookTorrance model = paint("opel-titan");
+  model.lobes[1].m = 0.2;
+  model.lobes[2].m = 0.02;
+  return layout.pack(model);
+}
+
+/// Derivative by Richardson extrapolation of central differences: error of fourth order.
+template <typename F>
+double numeric_derivative(const F& f, std::vector<double> x, std::size_t k) {
+  const double h = 2e-4 * std::max(std::abs(x[k]), 1e-2), centre = x[k];
+  const auto central = [&](double step) {
+    x[k] = centre + step;
+    const double up = f(x);
+    x[k] = centre - step;
+    return (up - f(x)) / (2 * step);
+  };
+  return (4 * central(h / 2) - central(h)) / 3;
+}
+
+void expect_gradient_matches(const Objective& objective, const std::vector<double>& x) {
+  const fit::Quadratic q = objective.quadratic(x);
+  EXPECT_NEAR(q.cost, objective.cost(x), 1e-12 * q.cost);
+  for (std::size_t k = 0; k < x.size(); ++k) {
+    // q.gradient is that of cost / 2.
+    const double numeric = numeric_derivative([&](const auto& at) { return objective.cost(at) / 2; }, x, k);
+    // Rounding of the cost over the step: 1e-16 / 1e-6; kinks of the Huber loss within the step: 1e-5 of the gradient.
+    EXPECT_NEAR(q.gradient[k], numeric, 1e-5 * std::abs(numeric) + 1e-8 * q.cost) << objective.layout().names()[k];
+  }
+}
+
+TEST(Objective, GradientEqualsDifferencesForStrongSignals) {
+  const Observations observations = some_observations(0.02, 0);
+  const ParameterLayout layout{3, 3};
+  expect_gradient_matches(Objective(observations, layout, {.robust_scale = 1e9}), off_truth(layout));
+  expect_gradient_matches(Objective(observations, layout, {.robust_scale = 3}), off_truth(layout));
+}
+
+TEST(Objective, GradientEqualsDifferencesForWeakSignals) {
+  const Observations observations = some_observations(0.02, 0.02);  // base of the paint: 0.02 .. 0.05 per steradian
+  const ParameterLayout layout{3, 3};
+  std::size_t linear = 0;
+  for (const auto& o : observations.values) linear += !o.logarithmic;
+  ASSERT_GT(linear, observations.values.size() / 4) << "the test must see both kinds";
+  ASSERT_LT(linear, observations.values.size());
+  expect_gradient_matches(Objective(observations, layout, {.robust_scale = 1e9}), off_truth(layout));
+}
+
+TEST(Objective, GradientOfTheEnergyPenaltyEqualsDifferences) {
+  const Observations observations = some_observations(0.02, 0);
+  const ParameterLayout layout{3, 3};
+  std::vector<double> x = off_truth(layout);
+  for (int c = 0; c < 3; ++c) x[layout.kd(c)] = 0.9;  // albedo far above 1
+  const Objective without(observations, layout, {.robust_scale = 1e9}), with(observations, layout, {.robust_scale = 1e9, .energy_weight = 10});
+  ASSERT_GT(with.cost(x), 1.01 * without.cost(x));
+  expect_gradient_matches(with, x);
+}
+
+TEST(Objective, CurvatureIsThatOfTheGaussNewtonModelAtASolution) {
+  // At zero residuals the Gauss-Newton matrix is the Hessian: compare with differences of the analytic gradient.
+  const brdf::CookTorrance truth = paint("polaris-silber");
+  const brdf::HalfAngleTable table = table_of(truth);
+  const fit::FitOptions options{.max_cells = 2000};
+  fit::LeftOut left_out;
+  const Observations observations =
+      fit::observe(table, fit::stratified_choice(fit::usable_cells(table, options, left_out), options.max_cells), options);
+  const ParameterLayout layout{3, 3};
+  const Objective objective(observations, layout, {});
+  const std::vector<double> x = layout.pack(truth);
+  const fit::Quadratic q = objective.quadratic(x);
+  const std::size_t n = x.size();
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j) {
+      if (x[j] == 1) continue;  // r at its bound: the model beyond it is still defined, but keep to what is meaningful
+      const double h = 1e-5 * std::max(std::abs(x[j]), 1e-2);
+      std::vector<double> up = x, down = x;
+      up[j] += h, down[j] -= h;
+      const double numeric = (objective.quadratic(up).gradient[i] - objective.quadratic(down).gradient[i]) / (2 * h);
+      const double scale = std::sqrt(q.curvature[i * n + i] * q.curvature[j * n + j]);
+      EXPECT_NEAR(q.curvature[i * n + j], numeric, 1e-3 * scale) << i << " " << j;
+    }
+}
+
+TEST(Objective, ResidualOfOneCellIsTheLogRatioInSigmas) {
+  // By hand: kd = 0.3 is f = 0.3/pi; the cell says 0.1 with a relative error of 3 %, model_sigma 4 %: sigma = 5 %.
+  Observations o;
+  o.n_channels = 1;
+  o.values = {{.mean = 0.1f, .variance = 0.003f * 0.003f}};
+  o.points = {{brdf::half_angle_cosines(brdf::HalfDiff{0.2, 0.3, 0.4}), 0, 1}};
+  fit::weigh(o, 0.04);
+  ASSERT_TRUE(o.values[0].logarithmic);
+  const Objective objective(o, {1, 0}, {.robust_scale = 1e9});
+  const double bias = 0.03 * 0.03 / 2;  // E[ln(1 + e)] = -var / 2
+  const double expected = (std::log(0.3 / std::numbers::pi / 0.1) - bias) / 0.05;
+  EXPECT_NEAR(std::sqrt(objective.cost({0.3})), std::abs(expected), 2e-3 * std::abs(expected));  // the floor of 1e-3 in the logarithm
+  // Huber beyond 0.5 sigma: 2 k |r| - k^2.
+  const double r = std::sqrt(objective.cost({0.3}));
+  EXPECT_NEAR(Objective(o, {1, 0}, {.robust_scale = 0.5}).cost({0.3}), 2 * 0.5 * r - 0.25, 1e-12);
+}
+
+TEST(Objective, WeakAndNegativeCellsAreComparedLinearly) {
+  Observations o;
+  o.n_channels = 1;
+  o.values = {{.mean = -0.01f, .variance = 0.01f * 0.01f}, {.mean = 0.03f, .variance = 0.01f * 0.01f}};
+  o.points = {{brdf::half_angle_cosines(brdf::HalfDiff{0.2, 0.3, 0.4}), 0, 2}};
+  fit::weigh(o, 1e-6);
+  EXPECT_FALSE(o.values[0].logarithmic);
+  EXPECT_FALSE(o.values[1].logarithmic);
+  const double f = 0.3 / std::numbers::pi;
+  const double expected = std::pow((f + 0.01) / 0.01, 2) + std::pow((f - 0.03) / 0.01, 2);
+  EXPECT_NEAR(Objective(o, {1, 0}, {.robust_scale = 1e9}).cost({0.3}), expected, 1e-5 * expected);  // float means
+}
+
+TEST(Objective, AModelThatUnderflowsHasAFiniteCostAndGradient) {
+  const Observations observations = some_observations(0.02, 0);
+  const ParameterLayout layout{3, 1};
+  brdf::CookTorrance narrow;
+  narrow.lobes = {{.ks = {0.1, 0.1, 0.1}, .m = 0.001, .r = 0.5}};
+  const fit::Quadratic q = Objective(observations, layout, {}).quadratic(layout.pack(narrow));
+  EXPECT_TRUE(std::isfinite(q.cost));
+  for (const double g : q.gradient) EXPECT_TRUE(std::isfinite(g));
+  for (const double h : q.curvature) EXPECT_TRUE(std::isfinite(h));
+  EXPECT_LT(q.gradient[0], 0) << "more diffuse light must help";
+}
+
+TEST(Objective, AlbedoEstimateIsTheIntegralOverTheHemisphere) {
+  // Reference: the lobe at normal incidence, integrated over wo by the midpoint rule in tan(theta_h), F = r there but for Schlick's rise.
+  for (const double m : {0.05, 0.2, 0.4, 0.7, 1.0}) {
+    brdf::CookTorrance model;
+    model.lobes = {{.ks = {1, 1, 1}, .m = m, .r = 1.0}};  // r = 1: no rise
+    double integral = 0;
+    constexpr int n = 20000;
+    const double top = std::min(1.0, 8 * m);  // tan(theta_h) = 1: wo at the horizon
+    for (int i = 0; i < n; ++i) {
+      const double t = (i + 0.5) / n * top, theta_o = 2 * std::atan(t);
+      if (std::cos(theta_o) <= 0) continue;
+      const auto c = brdf::half_angle_cosines(brdf::Directions{{0, 0, 1}, {std::sin(theta_o), 0, std::cos(theta_o)}});
+      const double d_theta_o = 2 / (1 + t * t) * top / n;
+      integral += model.value(c).x * std::cos(theta_o) * 2 * std::numbers::pi * std::sin(theta_o) * d_theta_o;
+    }
+    EXPECT_NEAR(fit::normal_incidence_albedo(model).x, integral, 0.025 * integral) << "m = " << m;
+  }
+}
+
+}  // namespace
+}  // namespace lacquer::test
