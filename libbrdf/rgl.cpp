@@ -27,6 +27,9 @@ double u_from_phi(double phi) {
   return u - std::floor(u);
 }
 
+/// 0 where it is undefined (h = n or wi = n), whatever the signs of the zeros, so that the BRDF stays isotropic.
+double azimuth(double x, double y) { return x == 0 && y == 0 ? 0.0 : std::atan2(y, x); }
+
 double polar_angle(const glm::dvec3& w) { return std::atan2(std::hypot(w.x, w.y), w.z); }
 
 /// Adaptive parameterisation of Dupuy and Jakob 2018: f_r cos(theta_o) = rgb(s) D(m) / (4 sigma(wi)), s: warped half vector m.
@@ -48,8 +51,8 @@ class RglBrdf final : public Brdf {
   std::optional<glm::dvec3> do_value(const Directions& d) const override {
     const glm::dvec3 m = d.wi + d.wo;
     const double theta_i = polar_angle(d.wi);
-    // phi_m - phi_i without the two angles; 0 where one of them is undefined (h = n or wi = n).
-    const double phi = std::atan2(d.wi.x * m.y - d.wi.y * m.x, d.wi.x * m.x + d.wi.y * m.y);
+    // phi_m - phi_i without the two angles.
+    const double phi = azimuth(d.wi.x * m.x + d.wi.y * m.y, d.wi.x * m.y - d.wi.y * m.x);
     const glm::dvec2 u_m(u_from_theta(polar_angle(m)), u_from_phi(phi));
 
     const Blend slices = blend_between(data_.theta_i, theta_i);

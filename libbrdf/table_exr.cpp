@@ -69,6 +69,8 @@ constexpr std::array<FloatField, 6> float_fields{{
     {"footprint2", &TableChannel::footprint2, 0, float_max, "a finite number >= 0"},
 }};
 
+constexpr int max_channels = 3 * (static_cast<int>(float_fields.size()) + 2);  // count and origin are the two
+
 /// What a table must fulfil to be written or believed; names the first offender.
 std::optional<std::string> complaint(const TableChannel& channel, const char* colour) {
   for (const auto& field : float_fields) {
@@ -197,7 +199,7 @@ void write_table(const std::filesystem::path& file, const HalfAngleTable& table)
 }
 
 HalfAngleTable read_table(const std::filesystem::path& file) {
-  check_exr_header(file, {.width = width, .height = height, .max_channels = 21, .what = "a table of Lacquer"});
+  check_exr_header(file, {.width = width, .height = height, .max_channels = max_channels, .what = "a table of Lacquer"});
   try {
     return read_exr(file);
   } catch (const Error&) {
