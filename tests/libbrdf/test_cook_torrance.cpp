@@ -306,6 +306,35 @@ TEST(CookTorrance, ANarrowLobeReflectsFourKsRAtNormalIncidence) {
   EXPECT_NEAR(reflectance, 4 * ks * r, 1e-6);  // F - r < (1 - r) theta^10 / 32
 }
 
+TEST(CookTorrance, AFootprintIsTheConvolutionOfTheLobeWithAGaussianOfSlopes) {
+  const double m = 0.1, v = 0.004;  // v: variance of the slope per axis
+  // exp(-s^2/m^2)/m^2 of the library, from a retroreflecting lobe at slope s (see above; G = 1 for these
+  // slopes).
+  const auto slope_density = [](double width, double footprint2, double s) {
+    auto c = half_angle_cosines(HalfDiff{std::atan(s), 0, 0});
+    c.footprint2 = footprint2;
+    const double cos2 = c.n_dot_h * c.n_dot_h;
+    const double via_value = CookTorranceLobe<double>{width, 0.5}(c)*pi * cos2 * cos2 * cos2 / 0.5;
+    const double via_log =
+        std::exp(CookTorranceLobe<double>{width, 0.5}.log_value(c)) * pi * cos2 * cos2 * cos2 / 0.5;
+    EXPECT_NEAR(via_log / via_value, 1, 1e-12);
+    return via_value;
+  };
+  constexpr int n = 160;
+  const double reach = 7 * std::sqrt(v), step = 2 * reach / n;
+  for (const double s : {0.0, 0.05, 0.15, 0.3}) {
+    double blurred = 0;  // trapezium rule, exact to rounding for a Gaussian cut at 7 sigma
+    for (int i = 0; i <= n; ++i) {
+      for (int j = 0; j <= n; ++j) {
+        const double x = -reach + i * step, y = -reach + j * step;
+        const double density = std::exp(-(x * x + y * y) / (2 * v)) / (2 * pi * v);
+        blurred += density * std::exp(-((s - x) * (s - x) + y * y) / (m * m)) / (m * m) * step * step;
+      }
+    }
+    EXPECT_NEAR(slope_density(m, 2 * v, s) / blurred, 1, 1e-8) << s;
+  }
+}
+
 /// Directional-hemispherical reflectance of the green channel: int f cos_o dwo, lobe by lobe over the half
 /// vectors.
 double reflectance(const CookTorrance& paint, double theta_i) {
