@@ -43,13 +43,18 @@ class SphereRenderer {
   struct Order {
     std::vector<PlaneNode> pixel, emitter;
   };
+  struct PixelMean {
+    glm::dvec3 mean;
+    double least, most;  ///< of the sums over the channels at the pixel's nodes
+  };
 
   void classify_pixels();
+  [[noreturn]] void refuse_paint() const;
   glm::dvec3 reflected(const PlacedLight& light, const SurfacePoint& point, const glm::dvec2& on_emitter) const;
   FirstPass first_pass(const PlacedLight& light) const;
   void first_pass_pixel(const PlacedLight& light, int x, int y, FirstPass& pass) const;
   glm::dvec3 pixel_mean(const PlacedLight& light, int x, int y, const FirstPass& pass) const;
-  glm::dvec3 mean_by_quadrature(const PlacedLight& light, int x, int y, const Order& order) const;
+  PixelMean mean_by_quadrature(const PlacedLight& light, int x, int y, const Order& order) const;
   glm::dvec3 mean_of_smooth_pixel(const PlacedLight& light, int x, int y, const glm::dvec3& centre, double floor) const;
   glm::dvec3 mean_of_silhouette_pixel(const PlacedLight& light, int x, int y) const;
 
