@@ -149,7 +149,7 @@ TableBrdf::TableBrdf(HalfAngleTable table, std::string description, bool interpo
     throw Error(ErrorCode::input, description_ + ": expected a table of 1 or 3 channels, got " + std::to_string(n));
 }
 
-std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d) const {
+std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d, double /*footprint2*/) const {
   const HalfDiff c = half_diff(d);
   const std::size_t nearest = TableGrid::index(c);
   glm::dvec3 result(0.0);

@@ -113,7 +113,7 @@ class TableBrdf final : public Brdf {
   std::string description() const override { return description_; }
 
  private:
-  std::optional<glm::dvec3> do_value(const Directions& d) const override;
+  std::optional<glm::dvec3> do_value(const Directions& d, double /*footprint2*/) const override;
   HalfAngleTable table_;
   std::string description_;
   bool interpolate_;

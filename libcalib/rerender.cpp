@@ -69,6 +69,17 @@ float srgb_code(float linear) {
   return x <= 0.0031308f ? 12.92f * x : 1.055f * std::pow(x, 1 / 2.4f) - 0.055f;
 }
 
+/// Where the sphere is in a picture of to_bgr, a few pixels larger.
+cv::Rect picture_box(const acquire::RigGeometry& rig, const RadianceImage& image, cv::Size picture) {
+  const int step = image.width / picture.width;
+  cv::Rect box;
+  for (int y = 0; y < picture.height; ++y)
+    for (int x = 0; x < picture.width; ++x)
+      if (acquire::trace(rig, glm::dvec2(x * step, y * step))) box |= cv::Rect(x, y, 1, 1);
+  if (box.empty()) return {0, 0, picture.width, picture.height};
+  return cv::Rect(box.x - 3, box.y - 3, box.width + 6, box.height + 6) & cv::Rect({0, 0}, picture);
+}
+
 /// Photograph, re-rendering and difference side by side, cropped to the sphere, 8-bit.
 cv::Mat picture_row(const RadianceImage& image, const Sampler::Prediction& prediction, const Calibration& calibration,
                     const std::string& label) {
@@ -80,21 +91,18 @@ cv::Mat picture_row(const RadianceImage& image, const Sampler::Prediction& predi
   cv::Mat a = to_bgr(photograph, image, balance), b = to_bgr(rendering, image, balance);
 
   std::vector<float> lit;
-  std::vector<cv::Point> covered;
   for (int y = 0; y < a.rows; ++y)
-    for (int x = 0; x < a.cols; ++x) {
-      const float green = a.at<cv::Vec3f>(y, x)[1];
-      if (green != 0) lit.push_back(green), covered.emplace_back(x, y);
-    }
+    for (int x = 0; x < a.cols; ++x)
+      if (const float green = a.at<cv::Vec3f>(y, x)[1]; green != 0) lit.push_back(green);
   float white = 1;
   if (!lit.empty()) {
     const auto nth = lit.begin() + static_cast<std::ptrdiff_t>(0.97 * static_cast<double>(lit.size() - 1));
     std::nth_element(lit.begin(), nth, lit.end());
     white = std::max(*nth * 1.25f, 1e-30f);
-    const cv::Rect box = cv::boundingRect(covered);
-    a = a(box);
-    b = b(box);
   }
+  const cv::Rect box = picture_box(calibration.geometry, image, a.size());
+  a = a(box);
+  b = b(box);
   cv::Mat row(a.rows, a.cols * 3, CV_8UC3);
   for (int y = 0; y < a.rows; ++y)
     for (int x = 0; x < a.cols; ++x) {

@@ -202,7 +202,9 @@ Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, std::size_t l
       const auto lit = acquire::illuminate(placed, pixel.point);
       if (!lit || glm::dot(pixel.point.normal, lit->wi) < options_.min_cosine) continue;
       const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
-      const auto f = paint.value({local.wi, local.wo});
+      const brdf::Directions directions{local.wi, local.wo};
+      const double theta_d = brdf::half_diff(directions).theta_d;
+      const auto f = paint.value(directions, half_vector_footprint2(calibration_, placed, pixel.point, pixel.normal_change2, theta_d));
       if (!f) continue;
       const int x = static_cast<int>(pixel.index % static_cast<std::size_t>(camera.width));
       const int y = static_cast<int>(pixel.index / static_cast<std::size_t>(camera.width));

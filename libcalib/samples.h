@@ -47,7 +47,8 @@ class Sampler {
   /// Samples of one view, computed in parallel, delivered in order. Clipped and invalid values are counted, not delivered.
   SampleCounts sample_view(const RadianceImage& image, std::size_t light, double turntable_angle, const Sink& sink) const;
 
-  /// Radiance (linearised DN per second) that `paint` would give in each value of the image; 0 where sample_view would give no
+  /// Radiance (linearised DN per second) that `paint`, seen through the footprint of each pixel, would give in each value of the image;
+  /// 0 where sample_view would give no
   /// sample for geometric reasons, or `paint` says nothing. `used`: the geometry is usable and the paint defined.
   struct Prediction {
     std::vector<float> radiance;
