@@ -49,11 +49,17 @@ std::string to_json(const Options& options, const Context& context, const brdf::
   return j.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 
+/// File and kind, the file's name once.
+std::string name_of(const std::string& file, const brdf::Brdf& brdf) {
+  const std::string description = brdf.description();
+  return description.find(file) == std::string::npos ? file + ": " + description : description;
+}
+
 std::string to_text(const Options& options, const brdf::Brdf& a, const brdf::Brdf& b,
                     const brdf::BrdfDifference& d) {
   std::string text;
-  text += fmt::format("A                      {} ({})\n", options.a, a.description());
-  text += fmt::format("B                      {} ({})\n", options.b, b.description());
+  text += "A                      " + name_of(options.a, a) + "\n";
+  text += "B                      " + name_of(options.b, b) + "\n";
   text += fmt::format("light and camera       within {:g} deg of the normal\n", options.max_theta_deg);
   text += difference_text(d);
   if (d.n_nonpositive)
