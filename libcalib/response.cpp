@@ -17,55 +17,18 @@ namespace lacquer::calib {
 
 namespace {
 
-/// Values with less signal than this many sigmas are left out of the estimate: selecting pixels by a noisy value shifts their mean.
-constexpr double min_signal_to_noise = 4;
-
-std::vector<double> slopes(const std::vector<double>& exposure) {
-  std::vector<double> slope(exposure.size());
-  for (std::size_t v = 0; v < slope.size(); ++v) {
-    const std::size_t low = v > 0 ? v - 1 : v, high = std::min(v + 1, exposure.size() - 1);
-    slope[v] = (exposure[high] - exposure[low]) / static_cast<double>(high - low);
-  }
-  return slope;
-}
-
-/// Inverse variance of log exposure of every value; 0 where the value says nothing.
-/// `noise` null (no noise model yet): one DN RMS everywhere, whatever the curve.
-std::vector<double> level_weights(const std::vector<double>& exposure, const NoiseModel* noise, int saturation) {
-  const std::vector<double> slope = slopes(exposure);
-  std::vector<double> weight(exposure.size(), 0.0);
-  for (std::size_t v = 0; v < weight.size(); ++v) {
-    const double z = exposure[v];
-    if (z <= 0 || static_cast<int>(v) >= saturation) continue;
-    double variance = slope[v] * slope[v];
-    if (noise) {
-      const double g = noise->gain_e_per_dn, read = noise->read_noise_e / g, relative = noise->relative_noise * z;
-      variance = read * read + z / g + relative * relative + slope[v] * slope[v] / 12;
-    }
-    // Goes to 0 at saturation: there only values whose noise was negative are left.
-    const double room = (static_cast<double>(saturation) - static_cast<double>(v)) * slope[v] / std::sqrt(variance);
-    const double taper = std::min(room / min_signal_to_noise, 1.0);
-    if (z * z >= min_signal_to_noise * min_signal_to_noise * variance) weight[v] = taper * z * z / variance;
-  }
-  return weight;
-}
-
-/// Noise needs one response for all channels' curves at once.
-Response as_response(int bits, const std::vector<std::vector<double>>& curves) {
+Response as_response(int bits, const std::vector<ResponseSolver>& solvers) {
   Response response{bits, false, {}};
-  for (const auto& curve : curves) response.curves.push_back({curve});
+  for (const ResponseSolver& s : solvers) response.curves.push_back({s.curve()});
   return response;
 }
 
-double rms_log_change(const std::vector<double>& a, const std::vector<double>& b, double black) {
-  double sum = 0, n = 0;
-  for (std::size_t v = 0; v < a.size(); ++v) {
-    if (static_cast<double>(v) <= black) continue;
-    const double change = std::log(a[v] / b[v]);
-    sum += change * change;
-    n += 1;
-  }
-  return std::sqrt(sum / std::max(n, 1.0));
+/// Noise for weighting. Its relative part is bounded: a curve that is still wrong looks like noise, and weights that believe that
+/// would leave no value to correct it with.
+NoiseModel curve_noise(const BracketSamples& samples, const Response& response, const NoiseModel& known) {
+  NoiseModel noise = estimate_noise(samples, response, known);
+  noise.relative_noise = std::min(noise.relative_noise, 0.05);
+  return noise;
 }
 
 }  // namespace
@@ -89,35 +52,34 @@ ResponseEstimate estimate_response(std::span<const std::vector<acquire::RawFrame
   known.saturation_dn = options.saturation_dn;
   known.validate();
   const int saturation = saturation_value(known, bits);
-  SamplingOptions sampling{options.max_pixels, options.ignore_border_px, static_cast<int>(std::floor(options.black_level_dn)) + 1,
-                           saturation};
+  const SamplingOptions sampling{options.max_pixels, options.ignore_border_px, options.black_level_dn > 0 ? 0 : 1, saturation};
   const BracketSamples samples = sample_brackets(brackets, sampling);
 
   std::vector<ResponseSolver> solvers;
-  std::vector<std::vector<double>> curves;
-  for (std::size_t c = 0; c < samples.channels.size(); ++c) {
-    solvers.emplace_back(bits, options.black_level_dn, samples.channels[c], samples.times, options.slope_change);
-    curves.push_back(linear_response(bits, 1, options.black_level_dn).curves[0].exposure);
-  }
+  for (const SampledPixels& pixels : samples.channels)
+    solvers.emplace_back(bits, options.black_level_dn, saturation, pixels, samples.times);
+  const auto each_channel = [&](const auto& work) {
+    std::vector<double> results(solvers.size());
+    tbb::parallel_for(std::size_t{0}, solvers.size(), [&](std::size_t c) { results[c] = work(solvers[c]); });
+    return *std::max_element(results.begin(), results.end());
+  };
+  each_channel([](ResponseSolver& s) { s.fit_power_law(); return 0.0; });
+
+  // The noise can be seen once the curve is roughly right, and is then held: its small jumps would keep the curve moving. Until
+  // then the curve is kept stiff, or it would follow the error of the start.
+  constexpr int first_noise = 4, last_noise = 7;
   ResponseEstimate estimate;
   NoiseModel noise;
-  constexpr int n_start = 3;  // iterations before the curve is good enough to see the noise
   while (estimate.iterations < options.max_iterations && !estimate.converged) {
-    const bool noise_known = estimate.iterations >= n_start;
-    if (noise_known) noise = estimate_noise(samples, as_response(bits, curves), known);
-    std::vector<double> change(curves.size()), rms(curves.size());
-    tbb::parallel_for(std::size_t{0}, curves.size(), [&](std::size_t c) {
-      const auto weights = level_weights(curves[c], noise_known ? &noise : nullptr, saturation);
-      const ResponseSolver::Step step = solvers[c].solve(weights, noise_known);
-      change[c] = rms_log_change(step.exposure, curves[c], options.black_level_dn);
-      rms[c] = step.residual_rms;
-      curves[c] = step.exposure;
-    });
-    estimate.residual_rms = *std::max_element(rms.begin(), rms.end());
-    estimate.converged = noise_known && *std::max_element(change.begin(), change.end()) < options.tolerance;
-    ++estimate.iterations;
+    const int i = estimate.iterations++;
+    const bool noise_known = i >= first_noise;
+    if (noise_known && i <= last_noise) noise = curve_noise(samples, as_response(bits, solvers), known);
+    const double slope_change = options.slope_change * std::min(1.0, 0.05 * std::exp2(i));
+    const double change = each_channel([&](ResponseSolver& s) { return s.refine(noise_known ? &noise : nullptr, slope_change); });
+    estimate.converged = i > last_noise && change < options.tolerance;
   }
-  estimate.response = as_response(bits, curves);
+  estimate.residual_rms = each_channel([](ResponseSolver& s) { return s.residual_rms(); });
+  estimate.response = as_response(bits, solvers);
   return estimate;
 }
 

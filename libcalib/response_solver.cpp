@@ -12,6 +12,8 @@ namespace {
 constexpr int max_knots = 320;
 /// Residuals beyond this many sigmas count as contradictions (moved edge, dust, border of a registered photograph).
 constexpr double cauchy_sigmas = 4;
+/// Values are used from this predicted signal to noise ratio on, and up to this many sigmas below saturation.
+constexpr double min_signal_to_noise = 3, saturation_sigmas = 4;
 
 /// Solves the symmetric positive definite system a x = b in place (Cholesky, lower triangle, row-major n x n).
 void solve_cholesky(std::vector<double>& a, std::vector<double>& b) {
@@ -33,14 +35,14 @@ void solve_cholesky(std::vector<double>& a, std::vector<double>& b) {
 
 /// Pool adjacent violators: the non-decreasing sequence closest to `y`, then a rise of `min_step` between neighbours so that the
 /// curve can be inverted.
-void make_increasing(std::vector<double>& y, std::size_t first, double min_step) {
+void make_increasing(std::vector<double>& y, double min_step) {
   struct Block {
     double sum;
     std::size_t n;
     double mean() const { return sum / static_cast<double>(n); }
   };
   std::vector<Block> blocks;
-  for (std::size_t i = first; i < y.size(); ++i) {
+  for (std::size_t i = 0; i < y.size(); ++i) {
     blocks.push_back({y[i], 1});
     while (blocks.size() > 1 && blocks[blocks.size() - 2].mean() >= blocks.back().mean()) {
       blocks[blocks.size() - 2].sum += blocks.back().sum;
@@ -48,24 +50,31 @@ void make_increasing(std::vector<double>& y, std::size_t first, double min_step)
       blocks.pop_back();
     }
   }
-  std::size_t i = first;
+  std::size_t i = 0;
   for (const Block& block : blocks)
     for (std::size_t k = 0; k < block.n; ++k) y[i++] = block.mean();
-  for (i = first + 1; i < y.size(); ++i) y[i] = std::max(y[i], y[i - 1] + min_step);
+  for (i = 1; i < y.size(); ++i) y[i] = std::max(y[i], y[i - 1] + min_step);
 }
 
 }  // namespace
 
-/// Normal equations of h, lower triangle.
+/// Normal equations of the change of h, lower triangle.
 struct ResponseSolver::Normal {
   explicit Normal(std::size_t n) : a(n * n), b(n) {}
-  void add(std::size_t i, std::size_t k, double value) { a[std::max(i, k) * b.size() + std::min(i, k)] += value; }
+  void add(std::size_t row, std::size_t column, double value) { a[row * b.size() + column] += value; }  ///< row >= column
   std::vector<double> a, b;
 };
 
-ResponseSolver::ResponseSolver(int bits, double black_level, const SampledPixels& pixels, const std::vector<double>& times,
-                               double slope_change)
-    : bits_(bits), black_(black_level), pixels_(pixels), times_(times), slope_change_(slope_change) {
+/// One value: the change of h at `place` should be `target` plus a constant of the pixel.
+struct ResponseSolver::Row {
+  Place place;
+  double weight;
+  double target;
+};
+
+ResponseSolver::ResponseSolver(int bits, double black_level, int saturation, const SampledPixels& pixels,
+                               const std::vector<double>& times)
+    : bits_(bits), black_(black_level), saturation_(saturation), pixels_(pixels), times_(times) {
   // Knots at integer values, spaced with the square root of the signal: as dense as shot noise allows to tell levels apart.
   const int first = static_cast<int>(std::floor(black_level)) + 1, last = (1 << bits) - 1;
   std::vector<int> values;
@@ -75,125 +84,209 @@ ResponseSolver::ResponseSolver(int bits, double black_level, const SampledPixels
     if (v <= last && (values.empty() || v > values.back())) values.push_back(v);
   }
   for (const int v : values) knots_.push_back(std::log(v - black_level));
-  interpolation_.resize(static_cast<std::size_t>(last) + 1, {0, 0.0});
-  for (std::size_t k = 0; k + 1 < values.size(); ++k)
-    for (int v = values[k]; v <= values[k + 1]; ++v)
-      interpolation_[static_cast<std::size_t>(v)] = {static_cast<int>(k),
-                                                     (std::log(v - black_level) - knots_[k]) / (knots_[k + 1] - knots_[k])};
-  h_.assign(knots_.size(), 0.0);
+  for (const double t : times) log_times_.push_back(std::log(t));
+  log_exposure_ = knots_;
 }
 
-double ResponseSolver::log_exposure(int value) const {
-  const Interpolation at = interpolation_[static_cast<std::size_t>(value)];
-  const auto k = static_cast<std::size_t>(at.knot);
-  return std::log(value - black_) + (1 - at.upper) * h_[k] + at.upper * h_[k + 1];
+ResponseSolver::Place ResponseSolver::place_of_log_value(double s) const {
+  const auto above = std::upper_bound(knots_.begin() + 1, knots_.end() - 1, s);
+  const auto k = static_cast<std::size_t>(above - knots_.begin()) - 1;
+  const double step = knots_[k + 1] - knots_[k], rise = log_exposure_[k + 1] - log_exposure_[k], upper = (s - knots_[k]) / step;
+  return {k, upper, std::exp(log_exposure_[k] + upper * rise - s) * rise / step};
 }
 
-void ResponseSolver::add_pixel(std::size_t pixel, const std::vector<double>& weights, bool robust, Normal& normal) const {
-  struct Row {
-    Interpolation at;
-    double weight, target;
-  };
-  std::vector<Row> rows;
-  double sum_w = 0, sum_wy = 0, sum_wg = 0;
-  for (std::size_t o = pixels_.first[pixel]; o < pixels_.first[pixel + 1]; ++o) {
-    const Observation obs = pixels_.observations[o];
-    const double w = weights[obs.value];
-    if (w <= 0) continue;
-    const double log_t = std::log(times_[obs.time]);
-    rows.push_back({interpolation_[obs.value], w, log_t - std::log(obs.value - black_)});
-    sum_wg += w * (robust ? log_exposure(obs.value) - log_t : 0.0);
-    sum_w += w;
-  }
-  if (rows.size() < 2) return;
-  if (robust) {
-    const double mean = sum_wg / sum_w;
-    sum_w = 0;
-    for (Row& r : rows) {
-      const auto k = static_cast<std::size_t>(r.at.knot);
-      const double residual = (1 - r.at.upper) * h_[k] + r.at.upper * h_[k + 1] - r.target - mean;
-      r.weight /= 1 + residual * residual * r.weight / (cauchy_sigmas * cauchy_sigmas);
-      sum_w += r.weight;
+ResponseSolver::Place ResponseSolver::place_of_log_exposure(double g) const {
+  const auto above = std::upper_bound(log_exposure_.begin() + 1, log_exposure_.end() - 1, g);
+  const auto k = static_cast<std::size_t>(above - log_exposure_.begin()) - 1;
+  const double step = knots_[k + 1] - knots_[k], rise = log_exposure_[k + 1] - log_exposure_[k];
+  // Below the first knot the curve is the straight line to (black, 0).
+  if (g < log_exposure_[0]) return {0, 0.0, std::exp(log_exposure_[0] - knots_[0])};
+  const double upper = std::min((g - log_exposure_[k]) / rise, 1.0);
+  return {k, upper, std::exp(g - knots_[k] - upper * step) * rise / step};
+}
+
+void ResponseSolver::fit_power_law() {
+  // gamma * s = log t + log x_i, s = log(v - black): regression within each pixel, one DN of noise (weight = signal^2), with a margin
+  // at both ends for more.
+  double covariance = 0, variance = 0;
+  for (std::size_t i = 0; i < pixels_.n_pixels(); ++i) {
+    double w = 0, ws = 0, wt = 0, wss = 0, wst = 0;
+    for (std::size_t o = pixels_.first[i]; o < pixels_.first[i + 1]; ++o) {
+      const Observation obs = pixels_.observations[o];
+      const double signal = obs.value - black_;
+      if (signal < 8 || obs.value > 0.95 * saturation_) continue;
+      const double s = std::log(signal), weight = signal * signal, t = log_times_[obs.time];
+      w += weight;
+      ws += weight * s;
+      wt += weight * t;
+      wss += weight * s * s;
+      wst += weight * s * t;
     }
+    if (w <= 0) continue;
+    covariance += wst - ws * wt / w;
+    variance += wss - ws * ws / w;
   }
-  for (const Row& r : rows) sum_wy += r.weight * r.target;
-  for (std::size_t p = 0; p < rows.size(); ++p) {
-    const auto k = static_cast<std::size_t>(rows[p].at.knot);
-    const double lower_p = rows[p].weight * (1 - rows[p].at.upper), upper_p = rows[p].weight * rows[p].at.upper;
-    const double centred = rows[p].target - sum_wy / sum_w;
+  // Cameras and films have exponents of 1 to 3; anything far beyond is a bracket that says nothing.
+  const double gamma = variance > 0 ? std::clamp(covariance / variance, 0.2, 5.0) : 1.0;
+  const double mid = std::log(std::exp2(bits_ - 1) - black_);
+  for (std::size_t k = 0; k < knots_.size(); ++k) log_exposure_[k] = mid + gamma * (knots_[k] - mid);
+}
+
+void ResponseSolver::collect_rows(std::size_t pixel, const NoiseModel* noise, const std::vector<double>& exposure,
+                                  std::vector<Row>& rows) const {
+  rows.clear();
+  const std::size_t begin = pixels_.first[pixel], end = pixels_.first[pixel + 1];
+  double sum_e = 0, sum_t = 0;
+  for (std::size_t o = begin; o < end; ++o) {
+    sum_e += exposure[pixels_.observations[o].value];
+    sum_t += times_[pixels_.observations[o].time];
+  }
+  if (!(sum_e > 0)) return;
+  const double start_noise = std::exp2(bits_ - 8);
+  const double limit = exposure[static_cast<std::size_t>(saturation_)], log_x0 = std::log(sum_e / sum_t);
+  double weighted = 0, precision = 0;
+  std::size_t last_time = 0, first_time = times_.size();
+  for (std::size_t o = begin; o < end; ++o) {
+    const Observation obs = pixels_.observations[o];
+    const double log_z = log_x0 + log_times_[obs.time], z = std::exp(log_z), slope = place_of_log_exposure(log_z).slope;
+    double variance = start_noise * start_noise * slope * slope;
+    if (noise) {
+      const double read = noise->read_noise_e / noise->gain_e_per_dn, relative = noise->relative_noise * z;
+      variance = read * read + z / noise->gain_e_per_dn + relative * relative + slope * slope / 12;
+    }
+    if (z * z < min_signal_to_noise * min_signal_to_noise * variance) continue;
+    const double room = limit - z;
+    if (room <= 0 || room * room < saturation_sigmas * saturation_sigmas * variance) continue;
+    const double t = times_[obs.time];
+    weighted += t * exposure[obs.value] / variance;
+    precision += t * t / variance;
+    rows.push_back({{obs.time, 0.0, 0.0}, z * z / variance, exposure[obs.value]});
+    last_time = std::max<std::size_t>(last_time, obs.time);
+    first_time = std::min<std::size_t>(first_time, obs.time);
+  }
+  if (rows.empty() || last_time <= first_time || !(weighted > 0)) {
+    rows.clear();
+    return;
+  }
+  const double log_x = std::log(weighted / precision);
+  for (Row& r : rows) {
+    const double log_z = log_x + log_times_[r.place.knot];  // the time index was parked there
+    // Bounded, so that the first rounds, far from the solution, do not overshoot.
+    const double residual = std::clamp(r.target / std::exp(log_z) - 1, -0.9, 2.0);
+    r.place = place_of_log_exposure(log_z);
+    r.target = -residual;
+    if (noise) r.weight /= 1 + residual * residual * r.weight / (cauchy_sigmas * cauchy_sigmas);
+  }
+}
+
+void ResponseSolver::add_rows(const std::vector<Row>& rows, Normal& normal) const {
+  double sum_w = 0, sum_wy = 0;
+  for (const Row& r : rows) {
+    sum_w += r.weight;
+    sum_wy += r.weight * r.target;
+  }
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const Row& p = rows[i];
+    const std::size_t k = p.place.knot;
+    const double lower_p = p.weight * (1 - p.place.upper), upper_p = p.weight * p.place.upper, centred = p.target - sum_wy / sum_w;
     normal.b[k] += lower_p * centred;
     normal.b[k + 1] += upper_p * centred;
-    normal.add(k, k, lower_p * (1 - rows[p].at.upper));
-    normal.add(k + 1, k, lower_p * rows[p].at.upper);
-    normal.add(k + 1, k + 1, upper_p * rows[p].at.upper);
-    for (std::size_t q = 0; q < rows.size(); ++q) {
-      const auto m = static_cast<std::size_t>(rows[q].at.knot);
-      const double lower_q = rows[q].weight * (1 - rows[q].at.upper) / sum_w, upper_q = rows[q].weight * rows[q].at.upper / sum_w;
-      // Only the lower triangle: of each unordered pair of knots one of the two visits (p, q) and (q, p) writes.
-      if (k >= m) normal.add(k, m, -lower_p * lower_q);
-      if (k + 1 >= m) normal.add(k + 1, m, -upper_p * lower_q);
-      if (k >= m + 1) normal.add(k, m + 1, -lower_p * upper_q);
-      if (k + 1 >= m + 1) normal.add(k + 1, m + 1, -upper_p * upper_q);
+    // The row itself, less its part in the elimination of the pixel's radiance.
+    const double own = 1 / p.weight - 1 / sum_w;
+    normal.add(k, k, lower_p * lower_p * own);
+    normal.add(k + 1, k, lower_p * upper_p * own);
+    normal.add(k + 1, k + 1, upper_p * upper_p * own);
+    for (std::size_t j = 0; j < i; ++j) {
+      const Row& q = rows[j];  // of a shorter exposure: its knot is not above k
+      const std::size_t m = q.place.knot;
+      const double lower_q = q.weight * (1 - q.place.upper) / sum_w, upper_q = q.weight * q.place.upper / sum_w;
+      normal.add(k + 1, m, -upper_p * lower_q);
+      if (k == m) {  // (k, k + 1) and (k + 1, k) are one entry of the lower triangle, the diagonal counts both orders
+        normal.add(k, k, -2 * lower_p * lower_q);
+        normal.add(k + 1, k, -lower_p * upper_q);
+        normal.add(k + 1, k + 1, -2 * upper_p * upper_q);
+      } else {
+        normal.add(k, m, -lower_p * lower_q);
+        normal.add(k, m + 1, (k == m + 1 ? -2 : -1) * lower_p * upper_q);
+        normal.add(k + 1, m + 1, -upper_p * upper_q);
+      }
     }
   }
 }
 
-void ResponseSolver::add_smoothness(Normal& normal) const {
+/// Of h after the change: integral of h''^2 over log(v - black), and far weaker than any data |h| < 10 (the data say nothing about
+/// its mean, which is the gauge, and with few levels hardly anything about its slope).
+void ResponseSolver::add_prior(double slope_change, Normal& normal) const {
+  const auto h = [&](std::size_t k) { return log_exposure_[k] - knots_[k]; };
   for (std::size_t k = 1; k + 1 < knots_.size(); ++k) {
     const double below = knots_[k] - knots_[k - 1], above = knots_[k + 1] - knots_[k], span = (below + above) / 2;
-    // Second derivative; its square is integrated over log(v - black).
     const double d[3] = {1 / (below * span), -1 / (below * span) - 1 / (above * span), 1 / (above * span)};
-    const double strength = span / (slope_change_ * slope_change_);
-    for (std::size_t p = 0; p < 3; ++p)
+    const double strength = span / (slope_change * slope_change);
+    const double second_derivative = d[0] * h(k - 1) + d[1] * h(k) + d[2] * h(k + 1);
+    for (std::size_t p = 0; p < 3; ++p) {
+      normal.b[k - 1 + p] -= strength * d[p] * second_derivative;
       for (std::size_t q = 0; q <= p; ++q) normal.add(k - 1 + p, k - 1 + q, strength * d[p] * d[q]);
+    }
   }
+  double largest = 0;
+  for (std::size_t k = 0; k < knots_.size(); ++k) largest = std::max(largest, normal.a[k * knots_.size() + k]);
+  const double ridge = 0.01 / static_cast<double>(knots_.size()) + 1e-12 * largest;  // the latter against rounding
+  for (std::size_t k = 0; k < knots_.size(); ++k) {
+    normal.b[k] -= ridge * h(k);
+    normal.add(k, k, ridge);
+  }
+}
+
+double ResponseSolver::update(Normal& normal) {
+  solve_cholesky(normal.a, normal.b);
+  const std::vector<double> before = log_exposure_;
+  // At most a factor e in one round: far from the solution the linearisation is not to be trusted further.
+  for (std::size_t k = 0; k < knots_.size(); ++k) log_exposure_[k] += std::clamp(normal.b[k], -1.0, 1.0);
+  make_increasing(log_exposure_, 1e-7);
+  // Gauge: mid-range.
+  const double mid = std::log(std::exp2(bits_ - 1) - black_);
+  const Place place = place_of_log_value(mid);
+  const double at_mid = (1 - place.upper) * log_exposure_[place.knot] + place.upper * log_exposure_[place.knot + 1];
+  double sum = 0;
+  for (std::size_t k = 0; k < knots_.size(); ++k) {
+    log_exposure_[k] += mid - at_mid;
+    sum += (log_exposure_[k] - before[k]) * (log_exposure_[k] - before[k]);
+  }
+  return std::sqrt(sum / static_cast<double>(knots_.size()));
+}
+
+double ResponseSolver::refine(const NoiseModel* noise, double slope_change) {
+  Normal normal(knots_.size());
+  const std::vector<double> exposure = curve();
+  std::vector<Row> rows;
+  double squares = 0, weights = 0;
+  for (std::size_t i = 0; i < pixels_.n_pixels(); ++i) {
+    collect_rows(i, noise, exposure, rows);
+    add_rows(rows, normal);
+    for (const Row& r : rows) {
+      squares += r.weight * r.target * r.target;
+      weights += r.weight;
+    }
+  }
+  residual_rms_ = weights > 0 ? std::sqrt(squares / weights) : 0;
+  add_prior(slope_change, normal);
+  return update(normal);
 }
 
 std::vector<double> ResponseSolver::curve() const {
   const auto n = std::size_t{1} << bits_;
   const auto first = static_cast<std::size_t>(std::floor(black_)) + 1;
   std::vector<double> exposure(n);
-  for (std::size_t v = first; v < n; ++v) exposure[v] = std::exp(log_exposure(static_cast<int>(v)));
-  make_increasing(exposure, first, 1e-6 * exposure[n / 2] / static_cast<double>(n));
-  const double scale = (static_cast<double>(n / 2) - black_) / exposure[n / 2];
-  for (std::size_t v = first; v < n; ++v) exposure[v] *= scale;
+  for (std::size_t v = first, k = 0; v < n; ++v) {
+    const double s = std::log(static_cast<double>(v) - black_);
+    while (k + 2 < knots_.size() && s > knots_[k + 1]) ++k;
+    const double upper = (s - knots_[k]) / (knots_[k + 1] - knots_[k]);
+    exposure[v] = std::exp((1 - upper) * log_exposure_[k] + upper * log_exposure_[k + 1]);
+  }
   // Below: the straight line through (black, 0), so that noise around black keeps its sign.
   const double slope = exposure[first] / (static_cast<double>(first) - black_);
   for (std::size_t v = 0; v < first; ++v) exposure[v] = (static_cast<double>(v) - black_) * slope;
   return exposure;
-}
-
-double ResponseSolver::residual_rms(const std::vector<double>& weights) const {
-  double sum = 0, n = 0;
-  for (std::size_t i = 0; i < pixels_.n_pixels(); ++i) {
-    double w = 0, wg = 0, wgg = 0;
-    int count = 0;
-    for (std::size_t o = pixels_.first[i]; o < pixels_.first[i + 1]; ++o) {
-      const Observation obs = pixels_.observations[o];
-      if (weights[obs.value] <= 0) continue;
-      const double g = log_exposure(obs.value) - std::log(times_[obs.time]);
-      w += weights[obs.value];
-      wg += weights[obs.value] * g;
-      wgg += weights[obs.value] * g * g;
-      ++count;
-    }
-    if (count < 2) continue;
-    sum += std::max(wgg - wg * wg / w, 0.0);
-    n += w;
-  }
-  return n > 0 ? std::sqrt(sum / n) : 0;
-}
-
-ResponseSolver::Step ResponseSolver::solve(const std::vector<double>& weights, bool robust) {
-  Normal normal(knots_.size());
-  for (std::size_t i = 0; i < pixels_.n_pixels(); ++i) add_pixel(i, weights, robust, normal);
-  add_smoothness(normal);
-  // The data say nothing about the mean of h (gauge) and, with few levels, hardly anything about its slope: a prior far weaker than
-  // any data (h = 0 +- 10, so a factor e^10) makes the system definite.
-  for (std::size_t k = 0; k < knots_.size(); ++k) normal.add(k, k, 0.01 / static_cast<double>(knots_.size()));
-  solve_cholesky(normal.a, normal.b);
-  h_ = normal.b;
-  return {curve(), residual_rms(weights)};
 }
 
 }  // namespace lacquer::calib

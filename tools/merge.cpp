@@ -1,0 +1,92 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <memory>
+
+#include "libacquire/session.h"
+#include "libbrdf/error.h"
+#include "libcalib/calibration.h"
+#include "libcalib/frame_list.h"
+#include "libcalib/merge_session.h"
+#include "tools/command.h"
+
+namespace lacquer::tools {
+
+namespace {
+
+struct Options {
+  std::string session, frames, output, layout = "mono", response = "estimate", save_response;
+  int bits = 8;
+  calib::PhotographOptions photographs;
+};
+
+std::string flag_text(const calib::RadianceImage& image) {
+  const auto count = [&](calib::PixelFlag flag) { return std::count(image.flags.begin(), image.flags.end(), flag); };
+  return fmt::format("{} x {} {}: {} values, {} clipped in all frames, {} below the noise", image.width, image.height,
+                     acquire::name_of(image.layout), image.flags.size(), count(calib::PixelFlag::clipped), count(calib::PixelFlag::dark));
+}
+
+void run_frames(Options options, const Context& context) {
+  if (options.output.empty()) throw Error(ErrorCode::usage, "-o: expected the EXR file to write, it is missing");
+  const auto frames = calib::read_listed_frames(options.frames, options.bits, acquire::pixel_layout_from_name(options.layout));
+  if (options.response == "linear")
+    options.photographs.response =
+        calib::linear_response(options.bits, acquire::n_channels(frames.front().layout), options.photographs.black_level_dn);
+  else if (options.response != "estimate")
+    options.photographs.response = calib::read_response(options.response);
+  const calib::MergedPhotographs merged = calib::merge_photographs(frames, options.photographs);
+  calib::write_radiance(options.output, merged.image);
+  if (!options.save_response.empty())
+    calib::write_response(options.save_response, merged.response, provenance_json(context, {options.frames}));
+  fmt::print("{}\n", flag_text(merged.image));
+  if (merged.estimate)
+    fmt::print("response: estimated, {} iterations{}, residual {:.2f} % of exposure\n", merged.estimate->iterations,
+               merged.estimate->converged ? "" : " (NOT converged)", 100 * merged.estimate->residual_rms);
+  fmt::print("noise ({}): gain {:.4g} e-/DN, read {:.3g} e-, relative {:.2f} %\nradiance: {}\n",
+             merged.noise_estimated ? "estimated" : "given", merged.noise.gain_e_per_dn, merged.noise.read_noise_e,
+             100 * merged.noise.relative_noise, options.output);
+}
+
+void run_session(const Options& options, const Context& context) {
+  const acquire::Session session = acquire::read_session(options.session);
+  const std::filesystem::path file = session.folder / "calibration.json";
+  calib::Calibration calibration;
+  if (std::filesystem::exists(file)) {
+    calibration = calib::read_calibration(file);
+  } else {
+    calibration = calib::calibration_from_rig(session.rig);
+    if (session.rig.sensor.response != acquire::SensorDescription::Response::linear)
+      calib::estimate_session_response(session, calibration);
+    calib::write_calibration(file, calibration, provenance_json(context, {(session.folder / "session.json").string()}));
+  }
+  calib::merge_session(session, calibration, stderr_progress(context));
+  fmt::print("{} views merged, response: {}, noise: {}\nradiance: {}\n", session.views.size(), calibration.response_source,
+             calibration.noise_source, (session.folder / "radiance").string());
+}
+
+}  // namespace
+
+void add_merge(CLI::App& app, Context& context) {
+  auto o = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("merge", "raw frames -> linear radiance with variance (OpenEXR)");
+  auto* session = command->add_option("session", o->session, "session folder: merges every view into SESSION/radiance");
+  auto* frames = command->add_option("--frames", o->frames, "loose photographs instead: CSV with the header file,exposure_s");
+  frames->excludes(session);
+  const auto loose = [&](CLI::Option* option) { option->needs(frames); };
+  loose(command->add_option("-o,--output", o->output, "EXR to write: channels R G B or Y, each with .variance and .flag"));
+  loose(command->add_option("--bits", o->bits, "bits of a value, right-aligned in the file")->capture_default_str()->check(CLI::Range(8, 16)));
+  loose(command->add_option("--layout", o->layout, "of single-channel files: mono, rggb, grbg, gbrg, bggr")->capture_default_str());
+  loose(command->add_option("--response", o->response, "linear, estimate or the JSON file of one")->capture_default_str());
+  loose(command->add_option("--save-response", o->save_response, "JSON file to write the response to"));
+  loose(command->add_option("--black-level", o->photographs.black_level_dn, "DN, default 0")->check(CLI::Range(0.0, 65535.0)));
+  loose(command->add_option("--saturation", o->photographs.saturation_dn, "DN from which values are clipped, default 2^bits - 1"));
+  loose(command->add_option("--gain", o->photographs.gain_e_per_dn, "electrons per linear DN, default: estimated"));
+  loose(command->add_option("--read-noise", o->photographs.read_noise_e, "electrons RMS, default: estimated"));
+  command->callback([o, &context] {
+    if (o->session.empty() == o->frames.empty()) throw Error(ErrorCode::usage, "merge: expected a session folder or --frames list.csv");
+    o->frames.empty() ? run_session(*o, context) : run_frames(*o, context);
+  });
+}
+
+}  // namespace lacquer::tools
