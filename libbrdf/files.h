@@ -17,27 +17,31 @@
 namespace lacquer::brdf {
 
 /// Our table: EXR, 16200 x 90 pixels (x = phi_d + 180 theta_d, y = theta_h), ZIPS. Channels per colour C in {R, G, B} or {Y}:
-/// C.mean, C.variance, C.theta_h, C.theta_d, C.phi_d, C.footprint2 (float), C.count, C.origin (uint). Header attributes "lacquer.version" (int),
-/// "lacquer.absolute_scale" (int), "lacquer.provenance" (string, JSON).
+/// C.mean, C.variance, C.theta_h, C.theta_d, C.phi_d, C.footprint2 (float), C.count, C.origin (uint), everything 0 in empty cells.
+/// Header attributes "lacquer.version" (int), "lacquer.absolute_scale" (int), "lacquer.provenance" (string, JSON).
+/// The writer refuses a table that the reader would (NaN, negative variance, values in empty cells) with Error{input}.
 void write_table(const std::filesystem::path& file, const HalfAngleTable& table);
 HalfAngleTable read_table(const std::filesystem::path& file);
 
-/// MERL .binary, value at the cell's centre; empty cells and cells with a direction below the horizon are written as -1.
-/// One-channel tables are written to all three planes. Relative or camera-RGB values are the caller's to state.
+/// MERL .binary, value at the cell's centre. -1 is written to all planes of a cell that is empty in some channel, whose mean is negative
+/// (noise; the format cannot tell it from "empty") or whose centre has a direction below the horizon. One-channel tables are
+/// written to all three planes. Relative or camera-RGB values are the caller's to state.
 void write_merl(const std::filesystem::path& file, const HalfAngleTable& table);
-/// Negative entries become empty cells.
+/// A cell that is negative in any plane becomes an empty cell; count is 1, variance 0, the coordinates are the cell's centre.
 HalfAngleTable read_merl(const std::filesystem::path& file);
 
-/// RGL/EPFL tensor file .bsdf (Dupuy and Jakob 2018), isotropic and anisotropic (averaged over phi_i is NOT done: anisotropic files are
-/// an error that says so). `rgb` files as they are; `spectra` files are integrated to linear sRGB under equal energy with the
-/// CIE 1931 matching functions.
+/// RGL/EPFL tensor file .bsdf (Dupuy and Jakob 2018), isotropic; anisotropic files are an error that says so. `wi` is the file's
+/// incident direction: measurements are not exactly reciprocal. Values are those of RGL's reference loader (powitacq_rgb), divided by
+/// cos(theta_o): linear between the file's theta_i, constant beyond them, negative colours (out of gamut) taken as 0. A file with two
+/// azimuths is read at phi_i = 0. `rgb` files as they are; `spectra` files are integrated to linear sRGB under equal energy with the
+/// CIE 1931 matching functions, see rgl_spectrum.h; a constant spectrum 1 becomes (1, 1, 1).
 std::unique_ptr<Brdf> read_rgl(const std::filesystem::path& file);
 
 /// Model of a fit.json or of a bare {"kd": [r,g,b], "lobes": [{"ks": [r,g,b], "m": m, "r": r}]}.
-/// Checks: finite numbers, kd, ks >= 0, m in (0, 1], r in [0, 1], at most 16 lobes; unknown keys are allowed.
+/// Checks: kd, ks in [0, 1e6], m in (0, 1] and at least 1e-6, r in [0, 1], at most 16 lobes, 64 MB; unknown keys are allowed.
 CookTorrance read_model(const std::filesystem::path& file);
 CookTorrance model_from_json(const std::string& text, const std::string& name_for_errors);
-/// {"kd": ..., "lobes": ...} with 17 significant digits, the paint entry of papers/table1.json.
+/// {"kd": ..., "lobes": ...} with the fewest digits that read back to the same numbers, the paint entry of papers/table1.json.
 std::string model_to_json(const CookTorrance& model);
 
 /// Writes `file` through a temporary name in its folder and a rename; `write` gets the temporary path. On an exception the
