@@ -41,7 +41,8 @@ ViewError view_error(const RadianceImage& image, const Sampler::Prediction& pred
 }
 
 /// Linear values per pixel in B, G, R; a mosaic is shown at half size (one 2 x 2 block = one pixel: shown, never measured from).
-cv::Mat to_bgr(const std::vector<float>& values, const RadianceImage& shape, const glm::dvec3& white_balance) {
+/// Blocks with a value that is not `used` stay black: half a block would show as a coloured fringe.
+cv::Mat to_bgr(const std::vector<float>& values, const std::vector<bool>& used, const RadianceImage& shape, const glm::dvec3& white_balance) {
   const bool mosaic = acquire::n_channels(shape.layout) == 3 && acquire::values_per_pixel(shape.layout) == 1;
   const int step = mosaic ? 2 : 1;
   cv::Mat picture(shape.height / step, shape.width / step, CV_32FC3, cv::Scalar::all(0));
@@ -49,15 +50,17 @@ cv::Mat to_bgr(const std::vector<float>& values, const RadianceImage& shape, con
   for (int y = 0; y < picture.rows; ++y)
     for (int x = 0; x < picture.cols; ++x) {
       cv::Vec3f sum(0, 0, 0), count(0, 0, 0);
+      bool complete = true;
       for (int dy = 0; dy < step; ++dy)
         for (int dx = 0; dx < step; ++dx)
           for (int k = 0; k < per_pixel; ++k) {
             const int channel = acquire::channel_of(shape.layout, x * step + dx, y * step + dy, k);
             const auto i = (static_cast<std::size_t>(y * step + dy) * shape.width + (x * step + dx)) * per_pixel + k;
+            complete = complete && used[i];
             sum[2 - channel] += values[i];
             count[2 - channel] += 1;
           }
-      for (int c = 0; c < 3; ++c)
+      for (int c = 0; c < 3 && complete; ++c)
         if (count[c] > 0) picture.at<cv::Vec3f>(y, x)[c] = static_cast<float>(sum[c] / count[c] / white_balance[2 - c]);
       if (acquire::n_channels(shape.layout) == 1) picture.at<cv::Vec3f>(y, x) = cv::Vec3f::all(picture.at<cv::Vec3f>(y, x)[2]);
     }
@@ -83,12 +86,9 @@ cv::Rect picture_box(const acquire::RigGeometry& rig, const RadianceImage& image
 /// Photograph, re-rendering and difference side by side, cropped to the sphere, 8-bit.
 cv::Mat picture_row(const RadianceImage& image, const Sampler::Prediction& prediction, const Calibration& calibration,
                     const std::string& label) {
-  std::vector<float> photograph(image.radiance.size()), rendering(image.radiance.size());
-  for (std::size_t i = 0; i < photograph.size(); ++i)
-    if (prediction.used[i]) photograph[i] = image.radiance[i], rendering[i] = prediction.radiance[i];
   const glm::dvec3 balance = calibration.dn_per_radiance / calibration.dn_per_radiance.y * calibration.geometry.lights[0].intensity /
                              calibration.geometry.lights[0].intensity.y;
-  cv::Mat a = to_bgr(photograph, image, balance), b = to_bgr(rendering, image, balance);
+  cv::Mat a = to_bgr(image.radiance, prediction.used, image, balance), b = to_bgr(prediction.radiance, prediction.used, image, balance);
 
   std::vector<float> lit;
   for (int y = 0; y < a.rows; ++y)

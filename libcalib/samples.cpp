@@ -44,39 +44,51 @@ double lens_transmission(const Calibration& calibration, const glm::dvec2& pixel
   return 1 - calibration.vignetting * (offset.x * offset.x + offset.y * offset.y) / (corner_x * corner_x + corner_y * corner_y);
 }
 
-/// Squared change of the normal per pixel, in x plus in y, by differences over one pixel.
-double normal_change_per_pixel2(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
-  double sum = 0;
-  for (const glm::dvec2 half_step : {glm::dvec2(0.5, 0), glm::dvec2(0, 0.5)}) {
+/// By differences over one pixel; the principal values are those of J^T J of the normal's 3 x 2 Jacobian.
+NormalChange normal_change_per_pixel(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
+  glm::dvec3 change[2];
+  for (int axis = 0; axis < 2; ++axis) {
+    const glm::dvec2 half_step(axis == 0 ? 0.5 : 0.0, axis == 0 ? 0.0 : 0.5);
     const auto before = acquire::trace(rig, pixel - half_step), after = acquire::trace(rig, pixel + half_step);
-    if (!before || !after) continue;  // on the silhouette itself; such pixels are no samples
-    const glm::dvec3 change = after->normal - before->normal;
-    sum += glm::dot(change, change);
+    if (!before || !after) return {};  // on the silhouette itself; such pixels are no samples
+    change[axis] = after->normal - before->normal;
   }
-  return sum;
+  const double xx = glm::dot(change[0], change[0]), yy = glm::dot(change[1], change[1]), xy = glm::dot(change[0], change[1]);
+  return {xx + yy, std::hypot(xx - yy, 2 * xy)};
 }
 
-/// Variance of the half vector's slope over a pixel's footprint, both axes summed. Moving over the surface turns the normal by
-/// dp/R, and wi and wo the other way by dp/d each, of which the half vector takes half; the emitter (a disc: variance D^2/16 per axis)
-/// turns wi alone, the half vector by half of it in the plane of wi and wo and by 1/(2 cos theta_d) across.
-double half_vector_footprint2(const Calibration& calibration, const acquire::PlacedLight& light, const acquire::SurfacePoint& point,
-                              double normal_change2, double theta_d) {
+/// Spread of the half vector's slope over a pixel's footprint: variances along both axes summed, and the one minus the other.
+struct Footprint {
+  double sum, difference;
+};
+
+/// Moving over the surface turns the normal by dp/R, and wi and wo the other way by dp/d each, of which the half vector takes half; the
+/// emitter (a disc: variance D^2/16 per axis) turns wi alone, the half vector by half of it in the plane of wi and wo and by
+/// 1/(2 cos theta_d) across.
+Footprint half_vector_footprint(const Calibration& calibration, const acquire::PlacedLight& light, const acquire::SurfacePoint& point,
+                                const NormalChange& normal_change, double theta_d) {
   const double radius = calibration.geometry.sphere_radius;
   const double blur2 = 1.0 / 12 + calibration.lens_blur_px * calibration.lens_blur_px;  // of the pixel's area and the lens, px^2 per axis
   double turn = 1;
   if (calibration.geometry.camera.projection == acquire::CameraModel::Projection::pinhole)
     turn += radius / (2 * glm::length(calibration.geometry.cam_from_rig * point.position));
-  if (light.distant) return blur2 * normal_change2 * turn * turn;
-  const glm::dvec3 to_light = light.position - point.position;
-  const double distance2 = glm::dot(to_light, to_light), cos_d = std::cos(theta_d);
-  turn += radius / (2 * std::sqrt(distance2));
-  return blur2 * normal_change2 * turn * turn + light.diameter * light.diameter / (16 * distance2) * 0.25 * (1 + 1 / (cos_d * cos_d));
+  double emitter2 = 0, across = 1;
+  if (!light.distant) {
+    const glm::dvec3 to_light = light.position - point.position;
+    const double distance2 = glm::dot(to_light, to_light);
+    turn += radius / (2 * std::sqrt(distance2));
+    emitter2 = light.diameter * light.diameter / (64 * distance2);
+    across = 1 / (std::cos(theta_d) * std::cos(theta_d));
+  }
+  const double scale = blur2 * turn * turn;
+  return {scale * normal_change.sum + emitter2 * (across + 1), scale * normal_change.difference + emitter2 * (across - 1)};
 }
 
 }  // namespace
 
 void SampleOptions::validate() const {
   if (!(min_cosine > 0 && min_cosine < 1)) throw Error(ErrorCode::usage, "min_cosine: expected a number in (0, 1)");
+  if (!(narrowest_m > 0 && narrowest_m <= 1)) throw Error(ErrorCode::usage, "narrowest_m: expected a number in (0, 1]");
   if (!(edge_px >= 0 && edge_px < 1000)) throw Error(ErrorCode::usage, "edge_px: expected a number of pixels >= 0");
 }
 
@@ -86,6 +98,7 @@ SampleCounts& SampleCounts::operator+=(const SampleCounts& other) {
   invalid += other.invalid;
   masked += other.masked;
   grazing += other.grazing;
+  blurred += other.blurred;
   return *this;
 }
 
@@ -114,7 +127,7 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
         continue;
       }
       rows[static_cast<std::size_t>(y)].push_back(
-          {static_cast<std::size_t>(y) * width + x, *point, lens_transmission(calibration_, pixel), normal_change_per_pixel2(rig, pixel)});
+          {static_cast<std::size_t>(y) * width + x, *point, lens_transmission(calibration_, pixel), normal_change_per_pixel(rig, pixel)});
     }
   });
   for (std::size_t y = 0; y < rows.size(); ++y) {
@@ -137,7 +150,7 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
   SampleCounts counts;
   counts.masked = n_masked_ * per_pixel;
   std::vector<Sample> slots(chunk_pixels * per_pixel);
-  enum class Fate : unsigned char { used, clipped, invalid, grazing };
+  enum class Fate : unsigned char { used, clipped, invalid, grazing, blurred };
   std::vector<Fate> fates(slots.size());
 
   for (std::size_t first = 0; first < pixels_.size(); first += chunk_pixels) {
@@ -148,16 +161,24 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
         const auto lit = acquire::illuminate(placed, pixel.point);
         const double cos_i = lit ? glm::dot(pixel.point.normal, lit->wi) : 0.0;
         brdf::HalfDiff coordinates{};
-        double footprint2 = 0;
+        Footprint footprint{};
+        bool blurred = false;
         if (cos_i >= options_.min_cosine) {
           const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
           coordinates = brdf::half_diff({local.wi, local.wo});
-          footprint2 = half_vector_footprint2(calibration_, placed, pixel.point, pixel.normal_change2, coordinates.theta_d);
+          footprint = half_vector_footprint(calibration_, placed, pixel.point, pixel.normal_change, coordinates.theta_d);
+          const double narrow2 = options_.narrowest_m * options_.narrowest_m;
+          blurred = footprint.difference > 0.3 * narrow2 &&
+                    coordinates.theta_h * coordinates.theta_h < 9 * (narrow2 + 2 * footprint.sum);
         }
         for (std::size_t k = 0; k < per_pixel; ++k) {
           const std::size_t slot = i * per_pixel + k, value = pixel.index * per_pixel + k;
           if (cos_i < options_.min_cosine) {
             fates[slot] = Fate::grazing;
+            continue;
+          }
+          if (blurred) {
+            fates[slot] = Fate::blurred;
             continue;
           }
           const PixelFlag flag = image.flags[value];
@@ -169,7 +190,7 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
           // f_r = radiance / irradiance
           const double scale = 1.0 / (calibration_.dn_per_radiance[channel] * pixel.transmission * lit->irradiance[channel]);
           const double weight = lit->irradiance[channel] / (placed.intensity[channel] * reference);
-          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, footprint2, channel};
+          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, footprint.sum, channel};
         }
       }
     });
@@ -180,6 +201,7 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
         case Fate::clipped: ++counts.clipped; break;
         case Fate::invalid: ++counts.invalid; break;
         case Fate::grazing: ++counts.grazing; break;
+        case Fate::blurred: ++counts.blurred; break;
       }
     }
     counts.used += kept;
@@ -204,7 +226,7 @@ Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, std::size_t l
       const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
       const brdf::Directions directions{local.wi, local.wo};
       const double theta_d = brdf::half_diff(directions).theta_d;
-      const auto f = paint.value(directions, half_vector_footprint2(calibration_, placed, pixel.point, pixel.normal_change2, theta_d));
+      const auto f = paint.value(directions, half_vector_footprint(calibration_, placed, pixel.point, pixel.normal_change, theta_d).sum);
       if (!f) continue;
       const int x = static_cast<int>(pixel.index % static_cast<std::size_t>(camera.width));
       const int y = static_cast<int>(pixel.index / static_cast<std::size_t>(camera.width));

@@ -17,6 +17,10 @@ namespace lacquer::calib {
 struct SampleOptions {
   double min_cosine = 0.08715574274765817;  ///< cos 85 deg: neither light nor camera closer to the horizon than this
   double edge_px = 2.0;                      ///< pixels whose centre is closer than this to the silhouette are left out (blur, mixed pixels)
+  /// Narrowest lobe that must come out right, RMS slope. Towards the silhouette a pixel sees a strip of normals, not a disc of them, and
+  /// footprint2 no longer describes what it does to a narrow peak: near the peak (theta_h < 3 sqrt(narrowest_m^2 + 2 footprint2)) samples
+  /// whose footprint is longer than wide by more than 0.3 narrowest_m^2 are left out.
+  double narrowest_m = 0.013;
   void validate() const;
 };
 
@@ -31,8 +35,14 @@ struct Sample {
 };
 
 struct SampleCounts {
-  std::size_t used = 0, clipped = 0, invalid = 0, masked = 0, grazing = 0;
+  std::size_t used = 0, clipped = 0, invalid = 0, masked = 0, grazing = 0, blurred = 0;
   SampleCounts& operator+=(const SampleCounts& other);
+};
+
+/// How the normal turns from pixel to pixel, radians^2 per pixel^2.
+struct NormalChange {
+  double sum = 0;         ///< along both principal directions together
+  double difference = 0;  ///< along the one minus along the other; 0 in the sphere's middle
 };
 
 /// Precomputed per-pixel geometry of a session's fixed camera and sphere; one view at a time is turned into samples.
@@ -61,7 +71,7 @@ class Sampler {
     std::size_t index;  ///< y * width + x
     acquire::SurfacePoint point;
     double transmission;  ///< of the lens there: 1 - vignetting
-    double normal_change2;  ///< squared change of the normal per pixel step in x plus that in y, radians^2
+    NormalChange normal_change;
   };
   std::size_t n_masked_ = 0;
   Calibration calibration_;
