@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/geometric.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -123,13 +124,28 @@ cv::Mat picture_row(const RadianceImage& image, const Sampler::Prediction& predi
   return row;
 }
 
+/// The centres of `n` equal parts of those views whose light lights a good part of what the camera sees.
+std::vector<std::size_t> views_to_picture(const acquire::Session& session, const Calibration& calibration, int n) {
+  const glm::dvec3 camera = calibration.geometry.cam_from_rig.inverse() * glm::dvec3(0);
+  std::vector<std::size_t> lit, chosen;
+  for (std::size_t i = 0; i < session.views.size(); ++i) {
+    const auto& view = session.views[i];
+    const auto light = calibration.geometry.place_light(static_cast<std::size_t>(view.light), view.turntable_angle);
+    const glm::dvec3 towards = light.distant ? light.direction : glm::normalize(light.position);
+    if (glm::dot(towards, glm::normalize(camera)) > -0.35) lit.push_back(i);  // up to 110 degrees from the camera
+  }
+  const std::size_t parts = std::min(lit.size(), static_cast<std::size_t>(std::max(n, 0)));
+  for (std::size_t k = 0; k < parts; ++k) chosen.push_back(lit[(2 * k + 1) * lit.size() / (2 * parts)]);
+  return chosen;
+}
+
 }  // namespace
 
 std::vector<ViewError> rerender_session(const acquire::Session& session, const Calibration& calibration, const brdf::Brdf& paint,
                                         const RerenderOptions& options, const std::filesystem::path& picture, const Progress& progress) {
   const Sampler sampler(calibration, session.rig.mask, session.rig.sensor.layout, options.samples);
   const std::size_t n_views = session.views.size();
-  const std::size_t n_pictured = std::min<std::size_t>(n_views, static_cast<std::size_t>(std::max(options.n_pictured, 0)));
+  const std::vector<std::size_t> pictured = views_to_picture(session, calibration, options.n_pictured);
   std::vector<ViewError> errors;
   std::vector<cv::Mat> rows;
   for (std::size_t i = 0; i < n_views; ++i) {
@@ -140,9 +156,7 @@ std::vector<ViewError> rerender_session(const acquire::Session& session, const C
       throw Error(ErrorCode::input, fmt::format("{}: size or layout differs from the session's camera", session.radiance_path(view).string()));
     errors.push_back(view_error(image, prediction));
     errors.back().view = view.id;
-    // The centre of each of n_pictured equal parts of the session.
-    const std::size_t row = rows.size();
-    if (!picture.empty() && row < n_pictured && i == (2 * row + 1) * n_views / (2 * n_pictured)) {
+    if (!picture.empty() && std::find(pictured.begin(), pictured.end(), i) != pictured.end()) {
       const std::string label = fmt::format("{}: photograph | re-rendering | difference (+-25 % of white)   rel. RMS {:.1f} %", view.id,
                                             100 * errors.back().relative_rms);
       rows.push_back(picture_row(image, prediction, calibration, label));

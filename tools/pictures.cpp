@@ -33,7 +33,7 @@ double srgb_code(double linear) {
 }  // namespace
 
 std::string slice_png(const SliceValue& value, double low, double high, const std::string& unit) {
-  constexpr int cell = 4, left = 52, top = 8, bottom = 44, right = 70, size = 90 * cell;
+  constexpr int cell = 3, left = 52, top = 8, bottom = 44, right = 70, size = 90 * cell;
   cv::Mat plot(size, size, CV_8UC3, cv::Scalar::all(200));
   cv::Mat gray(90, 90, CV_8UC1, cv::Scalar(0)), colour;
   cv::Mat defined(90, 90, CV_8UC1, cv::Scalar(0));
@@ -60,7 +60,7 @@ std::string slice_png(const SliceValue& value, double low, double high, const st
     cv::line(image, {left - 4, y}, {left, y}, cv::Scalar::all(40));
     text(image, fmt::format("{}", degrees), {left - 28, y + 4});
   }
-  text(image, "theta_d, degrees", {left + size / 2 - 60, top + size + 36});
+  text(image, "theta_d, degrees", {left + size / 2 - 56, top + size + 36});
   text(image, "th_h", {2, top + size / 2 + 30});
 
   cv::Mat ramp(size, 14, CV_8UC1), bar;

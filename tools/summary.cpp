@@ -56,8 +56,9 @@ std::string coverage_text(const calib::Tabulation& tabulation) {
   }
   const auto percent = [&](std::size_t n) { return 100.0 * static_cast<double>(n) / static_cast<double>(reachable); };
   return fmt::format(
-      "samples: {} used; left out: {} near the horizon or in the light's shadow, {} at the peak seen too obliquely, {} clipped in every exposure, "
-      "{} invalid\n"
+      "samples: {} used\n"
+      "left out: {} near the horizon or in the light's shadow, {} at the peak seen too obliquely,\n"
+      "          {} clipped in every exposure, {} invalid\n"
       "cells: {:.1f} % of the {} reachable ones measured, {:.1f} % more by mirror symmetry{}",
       counts.used, counts.grazing, counts.blurred, counts.clipped, counts.invalid, percent(measured), reachable, percent(symmetric),
       tabulation.table.channels.size() == 3 ? " (green channel)" : "");
