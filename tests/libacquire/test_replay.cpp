@@ -1,3 +1,4 @@
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 
@@ -16,7 +17,7 @@ class ReplayTest : public testing::Test {
     std::filesystem::create_directories(photos());
     for (int i = 0; i < 4; ++i) {
       cv::Mat image(48, 64, CV_16UC3, cv::Scalar(3, 2, 1000 * (i / 2) + (i % 2 ? 100 : 400)));  // blue, green, red
-      cv::imwrite((photos() / ("p" + std::to_string(7 + i) + ".png")).string(), image);
+      cv::imwrite((photos() / fmt::format("p{}.png", 7 + i)).string(), image);
     }
     cv::Mat mask(48, 64, CV_8UC1, cv::Scalar(0));
     for (int y = 0; y < 48; ++y)
@@ -91,7 +92,7 @@ TEST_F(ReplayTest, SessionHoldsThePhotographsInOrderOfExposure) {
       EXPECT_EQ(frame.data[0], 1000 * v + (e ? 400 : 100)) << "red";
       EXPECT_EQ(frame.data[1], 2) << "green";
       EXPECT_EQ(frame.data[2], 3) << "blue";
-      EXPECT_EQ(std::filesystem::path(record.source).filename(), "p" + std::to_string(7 + 2 * v + (e ? 0 : 1)) + ".png");
+      EXPECT_EQ(std::filesystem::path(record.source).filename(), fmt::format("p{}.png", 7 + 2 * v + (e ? 0 : 1)));
     }
   }
 }
