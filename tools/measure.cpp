@@ -43,11 +43,12 @@ std::string stage_text(const Measurement& m) {
 
 void run(const Options& options, const Context& context) {
   const std::filesystem::path folder = options.session;
-  const acquire::RigDescription rig = acquire::read_rig(options.rig, options.data);
+  acquire::RigDescription rig = acquire::read_rig(options.rig, options.data);
   const bool simulated = rig.kind == acquire::RigDescription::Kind::simulated;
   std::shared_ptr<const brdf::Brdf> paint;
-  if (simulated) paint = brdf::load_brdf(options.paint.empty() ? rig.simulation.paint : std::filesystem::path(options.paint));
   if (!simulated && !options.paint.empty()) throw Error(ErrorCode::usage, "--paint: only a simulated rig can be given a paint");
+  if (!options.paint.empty()) rig.simulation.paint = std::filesystem::absolute(options.paint);
+  if (simulated) paint = brdf::load_brdf(rig.simulation.paint);
 
   MeasureOptions measure_options = options.measure;
   measure_options.samples.min_cosine = cosine_of_degrees("--max-theta-deg", options.max_theta_deg);
