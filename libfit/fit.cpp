@@ -24,13 +24,14 @@ constexpr std::size_t subset_cells = 5000;
 /// Relative sigma of the subset's fits at least: far from the minimum a smaller one makes every cell an outlier.
 constexpr double subset_sigma = 0.01;
 /// Two fits are the same minimum when they agree to this everywhere (mean |ln|).
-constexpr double same_minimum = 1e-3;
+constexpr double same_minimum = 5e-3;
 
 void check_table(const brdf::HalfAngleTable& table) {
   if (table.channels.size() != 1 && table.channels.size() != 3)
     throw Error(ErrorCode::input, fmt::format("table: expected 1 or 3 channels, got {}", table.channels.size()));
   for (const auto& t : table.channels)
-    for (const std::size_t size : {t.mean.size(), t.variance.size(), t.theta_h.size(), t.theta_d.size(), t.phi_d.size(), t.origin.size()})
+    for (const std::size_t size : {t.mean.size(), t.variance.size(), t.theta_h.size(), t.theta_d.size(), t.phi_d.size(),
+                                   t.footprint2.size(), t.origin.size()})
       if (size != brdf::TableGrid::n_cells)
         throw Error(ErrorCode::input, fmt::format("table: expected {} cells per channel, got {}", brdf::TableGrid::n_cells, size));
 }
@@ -78,9 +79,9 @@ std::vector<Candidate> find_candidates(const Observations& subset, const Paramet
   std::vector<Candidate> candidates;
   for (std::size_t i = 0; i < starts.size(); ++i) {
     const Solution solution = minimise(objective, layout.pack(starts[i]),
-                                       {.min_m = options.min_m, .max_iterations = options.max_iterations, .function_tolerance = 1e-6});
+                                       {.min_m = options.min_m, .max_iterations = options.max_iterations, .function_tolerance = 1e-8});
     candidates.push_back({sorted_by_falling_m(layout.unpack(solution.x)), solution.cost / n_values});
-    if (progress) progress("fit", i + 1, starts.size() + 1);
+    if (progress) progress("fit", i + 1, static_cast<std::size_t>(options.n_starts) + 1);
   }
   std::stable_sort(candidates.begin(), candidates.end(), [](const auto& a, const auto& b) { return a.cost < b.cost; });
   std::vector<Candidate> distinct;
@@ -119,12 +120,13 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   weigh(subset, std::max(options.model_sigma, subset_sigma));
   result.candidates = find_candidates(subset, layout, objective_options, options, progress);
 
+  const std::size_t n_steps = static_cast<std::size_t>(options.n_starts) + 1;
   const brdf::CookTorrance& best = result.candidates.front().model;
   weigh(all, options.model_sigma, &best);
   const Objective objective(all, layout, objective_options);
   const Solution solution =
       minimise(objective, layout.pack(best), {.min_m = options.min_m, .max_iterations = options.max_iterations});
-  if (progress) progress("fit", result.candidates.size() + 1, result.candidates.size() + 1);
+  if (progress) progress("fit", n_steps, n_steps);
 
   result.model = sorted_by_falling_m(layout.unpack(solution.x));
   result.converged = solution.converged;

@@ -43,7 +43,7 @@ struct Candidate {
 struct LeftOut {
   std::size_t grazing = 0;        ///< a cosine <= FitOptions::min_cosine
   std::size_t not_positive = 0;   ///< mean <= 0 in a cell without a variance: its logarithm does not exist and its error is not known
-  std::size_t not_finite = 0;     ///< NaN, infinite, a negative variance, or coordinates outside the hemisphere
+  std::size_t not_finite = 0;     ///< NaN, infinite, a negative variance or footprint, or coordinates outside the hemisphere
   std::size_t not_measured = 0;   ///< mirrored, filled or modelled cells: no information of their own
 };
 

@@ -1,12 +1,13 @@
 #include "libfit/objective.h"
 
-#include <ceres/jet.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <numbers>
+
+#include "libfit/second_order.h"
 
 namespace lacquer::fit {
 
@@ -19,29 +20,27 @@ constexpr double log_floor = 1e-3;  // of the measured value, see Objective
 constexpr int max_lobes = 5;
 constexpr int max_local = 1 + 3 * max_lobes;
 
-/// A lobe for ks = 1 with its derivatives.
-struct LobeValue {
-  double value, d_log_m, d_r;
-};
-
 struct Residual {
-  double value;       // in sigmas
-  double derivative;  // by the model's value
+  double value;      // in sigmas
+  double slope;      // by the model's value
+  double curvature;  // second derivative
 };
 
 Residual residual(const Observation& o, double f) {
-  if (!o.logarithmic) return {(f - o.mean) * o.inverse_sigma, o.inverse_sigma};
+  if (!o.logarithmic) return {(f - o.mean) * o.inverse_sigma, o.inverse_sigma, 0};
   const double floor = log_floor * o.mean;
-  return {(std::log((f + floor) / (o.mean + floor)) - o.log_bias) * o.inverse_sigma, o.inverse_sigma / (f + floor)};
+  const double slope = o.inverse_sigma / (f + floor);
+  return {(std::log((f + floor) / (o.mean + floor)) - o.log_bias) * o.inverse_sigma, slope, -slope / (f + floor)};
 }
 
-/// Huber: rho(r) = r^2 up to `scale`, 2 scale |r| - scale^2 beyond; `weight` = rho' / 2r.
+/// Huber: rho(r) = r^2 up to `scale`, 2 scale |r| - scale^2 beyond; `weight` = rho' / 2r, `curvature` = rho'' / 2.
 struct Huber {
-  double rho, weight;
-  Huber(double r, double scale) : rho(r * r), weight(1) {
+  double rho, weight = 1, curvature = 1;
+  Huber(double r, double scale) : rho(r * r) {
     const double size = std::abs(r);
     if (!(size > scale)) return;
     weight = scale / size;
+    curvature = 0;
     rho = scale * (2 * size - scale);
   }
 };
@@ -52,10 +51,11 @@ struct ChannelSums {
   std::array<double, max_local> gradient{};
   std::array<std::array<double, max_local>, max_local> curvature{};
 
-  void add(const std::array<double, max_local>& row, int n, double weight, double r) {
+  /// Adds slope * row to the gradient and factor * row row^T to the curvature.
+  void add(const std::array<double, max_local>& row, int n, double slope, double factor) {
     for (int i = 0; i < n; ++i) {
-      const double scaled = weight * row[i];
-      gradient[i] += scaled * r;
+      const double scaled = factor * row[i];
+      gradient[i] += slope * row[i];
       for (int j = i; j < n; ++j) curvature[i][j] += scaled * row[j];
     }
   }
@@ -77,36 +77,51 @@ int global_index(const ParameterLayout& layout, int channel, int i) {
   return shape % 2 == 0 ? layout.log_m(shape / 2) : layout.r(shape / 2);
 }
 
-LobeValue lobe_with_derivatives(double m, double r, const brdf::HalfAngleCosines<double>& c) {
-  using Jet = ceres::Jet<double, 2>;
-  const Jet value = brdf::CookTorranceLobe<Jet>{Jet(m, 0), Jet(r, 1)}(c);
-  return {value.a, value.v[0] * m, value.v[1]};
+/// A lobe for ks = 1, differentiated by ln(m) and r.
+SecondOrder lobe_with_derivatives(double m, double r, const brdf::HalfAngleCosines<double>& c) {
+  const SecondOrder by_log_m{.value = m, .d1 = m, .d11 = m}, by_r{.value = r, .d2 = 1};
+  return brdf::CookTorranceLobe<SecondOrder>{by_log_m, by_r}(c);
 }
 
 /// Adds the observations of one point.
 void add_point(const Observations& observations, const Point& point, const ParameterLayout& layout,
-               const brdf::CookTorrance& model, double robust_scale, Sums& sums) {
+               const brdf::CookTorrance& model, double robust_scale, Curvature kind, Sums& sums) {
   const int n_lobes = layout.n_lobes, n = 1 + 3 * n_lobes;
-  std::array<LobeValue, max_lobes> lobes;
+  std::array<SecondOrder, max_lobes> lobes;
   for (int l = 0; l < n_lobes; ++l) lobes[l] = lobe_with_derivatives(model.lobes[l].m, model.lobes[l].r, point.cosines);
 
-  std::array<double, max_local> row;
+  std::array<double, max_local> row;  // gradient of the model's value
+  row[0] = std::numbers::inv_pi;
   for (std::uint32_t k = point.first; k < point.end; ++k) {
     const Observation& o = observations.values[k];
     double f = model.kd[o.channel] * std::numbers::inv_pi;
-    for (int l = 0; l < n_lobes; ++l) f += model.lobes[l].ks[o.channel] * lobes[l].value;
+    for (int l = 0; l < n_lobes; ++l) {
+      const double ks = model.lobes[l].ks[o.channel];
+      f += ks * lobes[l].value;
+      row[1 + l] = lobes[l].value;
+      row[1 + n_lobes + 2 * l] = ks * lobes[l].d1;
+      row[2 + n_lobes + 2 * l] = ks * lobes[l].d2;
+    }
     const Residual r = residual(o, f);
     const Huber huber(r.value, robust_scale);
-    row[0] = r.derivative * std::numbers::inv_pi;
-    for (int l = 0; l < n_lobes; ++l) {
-      const double ks = model.lobes[l].ks[o.channel] * r.derivative;
-      row[1 + l] = r.derivative * lobes[l].value;
-      row[1 + n_lobes + 2 * l] = ks * lobes[l].d_log_m;
-      row[2 + n_lobes + 2 * l] = ks * lobes[l].d_r;
-    }
+    const double pull = huber.weight * r.value;  // derivative of rho / 2 by the residual
     ChannelSums& channel = sums[o.channel];
     channel.cost += huber.rho;
-    channel.add(row, n, huber.weight, r.value);
+    if (kind == Curvature::gauss_newton) {
+      channel.add(row, n, pull * r.slope, huber.weight * r.slope * r.slope);
+      continue;
+    }
+    channel.add(row, n, pull * r.slope, huber.curvature * r.slope * r.slope + pull * r.curvature);
+    // Second derivatives of the model's value; it is bilinear in ks and a lobe.
+    for (int l = 0; l < n_lobes; ++l) {
+      const double ks = model.lobes[l].ks[o.channel], slope = pull * r.slope;
+      const int m = 1 + n_lobes + 2 * l;
+      channel.curvature[1 + l][m] += slope * lobes[l].d1;
+      channel.curvature[1 + l][m + 1] += slope * lobes[l].d2;
+      channel.curvature[m][m] += slope * ks * lobes[l].d11;
+      channel.curvature[m][m + 1] += slope * ks * lobes[l].d12;
+      channel.curvature[m + 1][m + 1] += slope * ks * lobes[l].d22;
+    }
   }
 }
 
@@ -187,14 +202,14 @@ double Objective::cost(const std::vector<double>& x) const {
   return total;
 }
 
-Quadratic Objective::quadratic(const std::vector<double>& x) const {
+Quadratic Objective::quadratic(const std::vector<double>& x, Curvature kind) const {
   const brdf::CookTorrance model = layout_.unpack(x);
   const auto& points = observations_->points;
   std::vector<Sums> chunks((points.size() + points_per_chunk - 1) / points_per_chunk);
   tbb::parallel_for(std::size_t{0}, chunks.size(), [&](std::size_t chunk) {
     const std::size_t end = std::min(points.size(), (chunk + 1) * points_per_chunk);
     for (std::size_t i = chunk * points_per_chunk; i < end; ++i)
-      add_point(*observations_, points[i], layout_, model, options_.robust_scale, chunks[chunk]);
+      add_point(*observations_, points[i], layout_, model, options_.robust_scale, kind, chunks[chunk]);
   });
 
   const int n = layout_.size(), n_local = 1 + 3 * layout_.n_lobes;

@@ -12,12 +12,17 @@ struct ObjectiveOptions {
   double energy_weight = 0.0;  ///< see FitOptions; 0 where the table's scale is relative
 };
 
-/// Twice the objective with its gradient and Gauss-Newton matrix, all exact sums over the observations.
+/// Twice the objective with gradient and curvature of the objective, all exact sums over the observations.
 struct Quadratic {
   double cost = 0;                ///< sum of the robust squares; the solver's objective is half of it
   std::vector<double> gradient;   ///< J^T W r: derivative of cost / 2
-  std::vector<double> curvature;  ///< J^T W J, row-major n x n, symmetric
+  std::vector<double> curvature;  ///< by kind, row-major n x n, symmetric
 };
+
+/// gauss_newton: J^T W J, positive semidefinite, good where residuals are small, and the one that gives the covariance.
+/// newton: the Hessian of cost / 2, with the second derivatives of the model. Where a model does not fit the paint (measured films are
+/// off by tens of percents) it converges in a few steps where Gauss-Newton creeps; may be indefinite away from a minimum.
+enum class Curvature { gauss_newton, newton };
 
 /// Robust sum of squared residuals of the model over the observations, with analytic derivatives. Parameters as in ParameterLayout.
 ///
@@ -34,7 +39,7 @@ class Objective {
   const Observations& observations() const { return *observations_; }
 
   double cost(const std::vector<double>& x) const;
-  Quadratic quadratic(const std::vector<double>& x) const;
+  Quadratic quadratic(const std::vector<double>& x, Curvature kind = Curvature::gauss_newton) const;
 
  private:
   const Observations* observations_;

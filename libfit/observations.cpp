@@ -19,8 +19,8 @@ constexpr double weak_signal = 5.0;
 
 brdf::HalfDiff coordinates(const brdf::TableChannel& t, std::size_t i) { return {t.theta_h[i], t.theta_d[i], t.phi_d[i]}; }
 
-bool same_coordinates(const brdf::HalfDiff& a, const brdf::HalfDiff& b) {
-  return a.theta_h == b.theta_h && a.theta_d == b.theta_d && a.phi_d == b.phi_d;
+bool same_place(const brdf::TableChannel& a, const brdf::TableChannel& b, std::size_t i) {
+  return a.theta_h[i] == b.theta_h[i] && a.theta_d[i] == b.theta_d[i] && a.phi_d[i] == b.phi_d[i] && a.footprint2[i] == b.footprint2[i];
 }
 
 bool in_hemisphere(const brdf::HalfDiff& c) {
@@ -37,7 +37,8 @@ bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, LeftO
     return false;
   }
   const brdf::HalfDiff c = coordinates(t, i);
-  if (!std::isfinite(t.mean[i]) || !std::isfinite(t.variance[i]) || t.variance[i] < 0 || !in_hemisphere(c)) {
+  if (!std::isfinite(t.mean[i]) || !std::isfinite(t.variance[i]) || t.variance[i] < 0 || !in_hemisphere(c) || !std::isfinite(t.footprint2[i]) ||
+      t.footprint2[i] < 0) {
     ++left_out.not_finite;
     return false;
   }
@@ -148,17 +149,16 @@ Observations observe(const brdf::HalfAngleTable& table, const std::vector<std::u
   result.values.reserve(cells.size() * table.channels.size());
   LeftOut ignored;
   for (const std::uint32_t i : cells) {
-    brdf::HalfDiff previous{-1, -1, -1};
+    const brdf::TableChannel* previous = nullptr;
     for (std::size_t c = 0; c < table.channels.size(); ++c) {
       const brdf::TableChannel& t = table.channels[c];
       if (!usable(t, i, options.min_cosine, ignored)) continue;
-      const brdf::HalfDiff here = coordinates(t, i);
       const auto next = static_cast<std::uint32_t>(result.values.size());
-      if (!same_coordinates(here, previous)) {
-        result.points.push_back({brdf::half_angle_cosines(here), next, next});
+      if (!previous || !same_place(t, *previous, i)) {
+        result.points.push_back({brdf::half_angle_cosines(coordinates(t, i)), next, next});
         result.points.back().cosines.footprint2 = t.footprint2[i];
       }
-      previous = here;
+      previous = &t;
       result.values.push_back({.mean = t.mean[i], .variance = t.variance[i], .channel = static_cast<std::uint8_t>(c)});
       result.points.back().end = next + 1;
     }

@@ -13,27 +13,31 @@ namespace lacquer::fit {
 namespace {
 
 /// Upper Cholesky factor R of a positive semidefinite matrix, R^T R = a, as far as its numerical rank goes: a row whose pivot
-/// vanishes beside its diagonal is zero (a parameter the data says nothing about).
-std::vector<double> semidefinite_factor(const std::vector<double>& a, int n) {
-  std::vector<double> factor(a.size(), 0.0);
+/// vanishes beside its diagonal is zero (a parameter the data says nothing about). False: `a` is indefinite, beyond rounding.
+bool semidefinite_factor(const std::vector<double>& a, int n, std::vector<double>& factor) {
+  constexpr double rounding = 1e-14;
+  bool semidefinite = true;
+  factor.assign(a.size(), 0.0);
   for (int k = 0; k < n; ++k) {
     double pivot = a[k * n + k];
     for (int i = 0; i < k; ++i) pivot -= factor[i * n + k] * factor[i * n + k];
-    if (!(pivot > 1e-14 * a[k * n + k])) continue;
-    const double root = std::sqrt(pivot);
+    semidefinite &= a[k * n + k] >= 0 && pivot >= -1e-10 * a[k * n + k];
+    const bool vanishes = !(pivot > rounding * a[k * n + k]);
+    const double root = vanishes ? 0 : std::sqrt(pivot);
     factor[k * n + k] = root;
     for (int j = k + 1; j < n; ++j) {
       double sum = a[k * n + j];
       for (int i = 0; i < k; ++i) sum -= factor[i * n + k] * factor[i * n + j];
-      factor[k * n + j] = sum / root;
+      if (!vanishes) factor[k * n + j] = sum / root;
+      else semidefinite &= std::abs(sum) <= 1e-5 * std::sqrt(std::abs(a[k * n + k])) * std::sqrt(std::abs(a[j * n + j]));
     }
   }
-  return factor;
+  return semidefinite;
 }
 
-/// The whole objective as n + 1 residuals: R x-rows with R^T R = J^T W J and residuals R^-T g, and one residual without derivative
-/// that holds the rest of the cost. Ceres sees the same cost, gradient and Gauss-Newton matrix as from the millions of single
-/// residuals, whose Jacobian is never stored.
+/// The whole objective as n + 1 residuals: n rows R with R^T R = the curvature and residuals R^-T g, and one residual without
+/// derivative that holds the rest of the cost. Ceres sees the cost and gradient of the millions of single residuals, whose Jacobian
+/// is never stored, and a better curvature.
 ///
 /// Parameters at a bound whose gradient points outwards are held (zero column): Ceres would clip their step after solving for
 /// it, which spoils the step of everything correlated with them.
@@ -50,30 +54,41 @@ class CompressedObjective final : public ceres::CostFunction {
     const std::vector<double> x(parameters[0], parameters[0] + n);
     std::fill(residuals, residuals + n + 1, 0.0);
     if (!jacobians || !jacobians[0]) {
-      residuals[n] = std::sqrt(objective_.cost(x));
-      return std::isfinite(residuals[n]);
+      // A wild step may overflow. Ceres takes a large cost as a bad step; a failed evaluation it would report on stderr.
+      const double cost = objective_.cost(x);
+      residuals[n] = std::isfinite(cost) ? std::sqrt(cost) : 1e150;
+      return true;
     }
-    Quadratic q = objective_.quadratic(x);
-    if (!std::isfinite(q.cost)) return false;
-    hold_parameters_at_bounds(x, q);
-
-    const std::vector<double> factor = semidefinite_factor(q.curvature, n);
-    double explained = 0;
-    for (int k = 0; k < n; ++k) {
-      if (factor[k * n + k] == 0) continue;
-      double sum = q.gradient[k];
-      for (int i = 0; i < k; ++i) sum -= factor[i * n + k] * residuals[i];
-      residuals[k] = sum / factor[k * n + k];
-      explained += residuals[k] * residuals[k];
-    }
-    residuals[n] = std::sqrt(std::max(0.0, q.cost - explained));
-    std::copy(factor.begin(), factor.end(), jacobians[0]);
-    std::fill(jacobians[0] + n * n, jacobians[0] + n * (n + 1), 0.0);
+    // The Hessian where it is a bowl over a cost that stays positive, else Gauss-Newton's matrix.
+    if (!compress(objective_.quadratic(x, Curvature::newton), x, residuals, jacobians[0]))
+      compress(objective_.quadratic(x, Curvature::gauss_newton), x, residuals, jacobians[0]);
     return true;
   }
 
  private:
   int size() const { return objective_.layout().size(); }
+
+  /// Always fills the output; false where the quadratic has no such form, which for Gauss-Newton's is nothing but rounding.
+  bool compress(Quadratic q, const std::vector<double>& x, double* residuals, double* jacobian) const {
+    const int n = size();
+    hold_parameters_at_bounds(x, q);
+    std::vector<double> factor;
+    const bool semidefinite = semidefinite_factor(q.curvature, n, factor);
+    double explained = 0;
+    for (int k = 0; k < n; ++k) {
+      residuals[k] = 0;
+      const double diagonal = factor[k * n + k];
+      if (diagonal == 0) continue;
+      double sum = q.gradient[k];
+      for (int i = 0; i < k; ++i) sum -= factor[i * n + k] * residuals[i];
+      residuals[k] = sum / diagonal;
+      explained += residuals[k] * residuals[k];
+    }
+    residuals[n] = std::sqrt(std::max(0.0, q.cost - explained));
+    std::copy(factor.begin(), factor.end(), jacobian);
+    std::fill(jacobian + n * n, jacobian + n * (n + 1), 0.0);
+    return semidefinite && explained <= q.cost;
+  }
 
   void hold_parameters_at_bounds(const std::vector<double>& x, Quadratic& q) const {
     const int n = size();

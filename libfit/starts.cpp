@@ -6,7 +6,6 @@
 #include <array>
 #include <cmath>
 #include <numbers>
-#include <span>
 
 #include "libbrdf/table.h"
 #include "libfit/nonnegative_least_squares.h"

@@ -35,10 +35,10 @@ std::string one_line(const brdf::CookTorrance& model) {
 std::string to_text(const Options& options, const brdf::Brdf& input, const fit::FitResult& fit) {
   std::string text = fmt::format("input        {} ({})\n\n", options.input, input.description());
   text += parameter_table(fit, nullptr);
-  text += fmt::format("\nmean |ln|    {:.5f}   ln = natural logarithm of fit / table\nrms ln       {:.5f}\n", fit.mean_abs_log,
+  text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n", fit.mean_abs_log,
                       fit.rms_log);
-  text += fmt::format("chi2/n       {:.4g}   {}\n", fit.reduced_chi2,
-                      fit.reduced_chi2 > 1 ? "above 1: standard errors are scaled up by its root" : "");
+  text += fmt::format("chi2/n       {:.4g}{}\n", fit.reduced_chi2,
+                      fit.reduced_chi2 > 1 ? "   above 1: standard errors are scaled up by its root" : "");
   text += fmt::format("energy       {:.3f}   normal-incidence albedo, largest channel{}\n", fit.energy,
                       fit.energy > 1 ? ": IMPLAUSIBLE, more than 1" : "");
   text += fmt::format("cells        {} of {} usable\n", fit.n_cells, fit.n_cells_available);

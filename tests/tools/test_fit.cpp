@@ -1,0 +1,64 @@
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "libbrdf/brdf.h"
+#include "libbrdf/files.h"
+#include "libbrdf/table.h"
+#include "test_support.h"
+
+namespace lacquer::test {
+namespace {
+
+std::string paint_file(const std::string& name) { return (source_dir() / "data-samples" / "paints" / (name + ".json")).string(); }
+
+TEST(FitCommand, AModelGoesInAndTheSameModelComesOutWithErrors) {
+  TemporaryFolder folder;
+  const std::string output = (folder / "fit.json").string();
+  const CommandResult run = run_lacquer("-q fit " + paint_file("opel-titan") + " -o " + output + " --max-cells 10000 --model-sigma 1e-4");
+  EXPECT_EQ(run.exit_code, 0) << run.err;
+  EXPECT_EQ(run.err, "");
+  for (const char* text : {"kd.r", "ks3.b", "m3", "mean |ln|", "cells", "minimum 1", "time", " ± "})
+    EXPECT_NE(run.out.find(text), std::string::npos) << text << "\n" << run.out;
+  const brdf::CookTorrance truth = brdf::read_model(paint_file("opel-titan")), fit = brdf::read_model(output);
+  for (std::size_t l = 0; l < 3; ++l) {
+    EXPECT_NEAR(fit.lobes[l].m, truth.lobes[l].m, 1e-5 * truth.lobes[l].m);
+    EXPECT_NEAR(fit.lobes[l].r, truth.lobes[l].r, 1e-3 * truth.lobes[l].r);
+  }
+}
+
+TEST(FitCommand, JsonOnStdoutIsWhatGoesToTheFile) {
+  TemporaryFolder folder;
+  const std::string output = (folder / "fit.json").string();
+  const CommandResult run = run_lacquer("-q fit " + paint_file("blue") + " --json --lobes 2 --max-cells 5000 -o " + output);
+  ASSERT_EQ(run.exit_code, 0) << run.err;
+  EXPECT_EQ(run.out, brdf::read_text(output));
+  const auto j = nlohmann::json::parse(run.out);
+  EXPECT_EQ(j.at("lobes").size(), 2u);
+  EXPECT_EQ(j.at("options").at("max_cells"), 5000);
+  EXPECT_EQ(j.at("provenance").at("inputs").size(), 1u);
+}
+
+TEST(FitCommand, BadInputIsOneLineAndExitOne) {
+  TemporaryFolder folder;
+  const auto expect_one_line = [](const std::string& arguments, int exit_code, const std::string& text) {
+    const CommandResult run = run_lacquer(arguments);
+    EXPECT_EQ(run.exit_code, exit_code) << arguments;
+    EXPECT_NE(run.err.find(text), std::string::npos) << run.err;
+    if (exit_code == 1) {
+      EXPECT_EQ(std::count(run.err.begin(), run.err.end(), '\n'), 1) << run.err;
+    }
+    EXPECT_EQ(run.out, "");
+  };
+  expect_one_line("fit " + (folder / "missing.exr").string(), 1, "missing.exr");
+  write_file(folder / "noise.bin", "neither a table nor a model");
+  expect_one_line("fit " + (folder / "noise.bin").string(), 1, "noise.bin");
+  brdf::write_table(folder / "empty.exr", brdf::HalfAngleTable(1));
+  expect_one_line("fit " + (folder / "empty.exr").string(), 1, "too few");
+  expect_one_line("fit " + paint_file("blue") + " --lobes 9", 2, "n_lobes");
+  expect_one_line("fit " + paint_file("blue") + " --max-theta-deg 95", 2, "--max-theta-deg");
+  expect_one_line("fit", 2, "TABLE");
+}
+
+}  // namespace
+}  // namespace lacquer::test
