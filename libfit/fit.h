@@ -12,70 +12,84 @@
 namespace lacquer::fit {
 
 struct FitOptions {
-  int n_lobes = 3;                   ///< 0..5
-  int n_starts = 6;                  ///< distinct starts refined on a subset before the best is refined on all cells
-  std::size_t max_cells = 100000;    ///< cells used, a stratified choice over theta_h, theta_d, phi_d when the table has more
-  double model_sigma = 0.01;         ///< relative error of the model and of the cell average, added to the table's variance; > 0
+  int n_lobes = 3;   ///< 0..5
+  int n_starts = 6;  ///< distinct starts refined on a subset before the best is refined on all cells
+  std::size_t max_cells =
+      100000;  ///< cells used, a stratified choice over theta_h, theta_d, phi_d when the table has more
+  double model_sigma =
+      0.01;  ///< relative error of the model and of the cell average, added to the table's variance; > 0
   double min_cosine = 0.08715574274765817;  ///< cos 85 deg: cells closer to grazing are left out
-  double min_m = 0.001;              ///< lower bound of m, in (0, 1)
-  double robust_scale = 3.0;         ///< Huber threshold in sigmas (towards the paper's absolute log ratio for outliers)
-  double energy_weight = 10.0;       ///< 10 % more reflected than received costs this / 10 sigma on every cell; 0: no energy penalty
+  double min_m = 0.001;                     ///< lower bound of m, in (0, 1)
+  double robust_scale =
+      3.0;  ///< Huber threshold in sigmas (towards the paper's absolute log ratio for outliers)
+  double energy_weight =
+      10.0;  ///< 10 % more reflected than received costs this / 10 sigma on every cell; 0: no energy penalty
   int max_iterations = 200;
-  unsigned threads = 0;              ///< 0: all; the result does not depend on it
-  void validate() const;             ///< throws Error{usage} naming the field
+  unsigned threads = 0;   ///< 0: all; the result does not depend on it
+  void validate() const;  ///< throws Error{usage} naming the field
 };
 
-/// A fitted parameter with its standard error; `determined` false: the data says nothing about it (e.g. m of a lobe with ks = 0).
+/// A fitted parameter with its standard error; `determined` false: the data says nothing about it (e.g. m of
+/// a lobe with ks = 0).
 struct Parameter {
-  std::string name;    ///< "kd.r", "ks1.g", "m2", "r3"; lobes count from 1 in the model's order; "kd.y" in a one-channel table
+  std::string name;  ///< "kd.r", "ks1.g", "m2", "r3"; lobes count from 1 in the model's order; "kd.y" in a
+                     ///< one-channel table
   double value = 0;
-  double sigma = 0;    ///< from the covariance, 0 where not determined and for ks of a lobe that is off
+  double sigma = 0;  ///< from the covariance, 0 where not determined and for ks of a lobe that is off
   bool at_bound = false;
   bool determined = true;
 };
 
 struct Candidate {
   brdf::CookTorrance model;
-  double cost = 0;       ///< robust objective per residual, on the subset
+  double cost = 0;  ///< robust objective per residual, on the subset
 };
 
 /// Why cells of a table did not enter the fit; one count per cell and channel.
 struct LeftOut {
-  std::size_t grazing = 0;        ///< a cosine <= FitOptions::min_cosine
-  std::size_t not_positive = 0;   ///< mean <= 0 in a cell without a variance: its logarithm does not exist and its error is not known
-  std::size_t not_finite = 0;     ///< NaN, infinite, a negative variance or footprint, or coordinates outside the hemisphere
-  std::size_t not_measured = 0;   ///< mirrored, filled or modelled cells: no information of their own
+  std::size_t grazing = 0;  ///< a cosine <= FitOptions::min_cosine
+  std::size_t not_positive =
+      0;  ///< mean <= 0 in a cell without a variance: its logarithm does not exist and its error is not known
+  std::size_t not_finite =
+      0;  ///< NaN, infinite, a negative variance or footprint, or coordinates outside the hemisphere
+  std::size_t not_measured = 0;  ///< mirrored, filled or modelled cells: no information of their own
 };
 
 struct FitResult {
-  brdf::CookTorrance model;              ///< lobes ordered by falling m; one-channel tables: three equal channels
-  std::vector<Parameter> parameters;     ///< kd.r kd.g kd.b ks1.r ... m1 r1 ...
-  std::vector<double> covariance;        ///< row-major n x n in the order of `parameters`; 0 in rows without a sigma
-  std::vector<Candidate> candidates;     ///< distinct minima of the starts, best first
-  std::size_t n_cells = 0;               ///< used
-  std::size_t n_cells_available = 0;     ///< usable cells of the table
-  std::size_t n_residuals = 0;           ///< used cells times their channels
+  brdf::CookTorrance model;  ///< lobes ordered by falling m; one-channel tables: three equal channels
+  std::vector<Parameter> parameters;  ///< kd.r kd.g kd.b ks1.r ... m1 r1 ...
+  std::vector<double>
+      covariance;  ///< row-major n x n in the order of `parameters`; 0 in rows without a sigma
+  std::vector<Candidate> candidates;  ///< distinct minima of the starts, best first
+  std::size_t n_cells = 0;            ///< used
+  std::size_t n_cells_available = 0;  ///< usable cells of the table
+  std::size_t n_residuals = 0;        ///< used cells times their channels
   LeftOut left_out;
-  double mean_abs_log = 0;               ///< mean |ln(model / mean)| over used cells with positive mean
+  double mean_abs_log = 0;  ///< mean |ln(model / mean)| over used cells with positive mean
   double rms_log = 0;
-  double reduced_chi2 = 0;               ///< robust objective per degree of freedom; about 1 if model and variances are right
-  double energy = 0;                     ///< estimate of the largest normal-incidence albedo of the channels; > 1 is implausible
-  bool converged = false;                ///< a status, not an error
-  std::string message;                   ///< of the solver
-  FitOptions options;                    ///< as used
+  double reduced_chi2 =
+      0;              ///< robust objective per degree of freedom; about 1 if model and variances are right
+  double energy = 0;  ///< estimate of the largest normal-incidence albedo of the channels; > 1 is implausible
+  bool converged = false;  ///< a status, not an error
+  std::string message;     ///< of the solver
+  FitOptions options;      ///< as used
   double seconds = 0;
 };
 
-/// Fits kd, ks, m, r of a multi-lobe Cook-Torrance model to the measured cells of a table (Günther et al. 2005, 4.2).
+/// Fits kd, ks, m, r of a multi-lobe Cook-Torrance model to the measured cells of a table (Günther et al.
+/// 2005, 4.2).
 ///
-/// Residual of a cell: ln(model / mean) / sigma where the signal stands well above its noise, (model - mean) / sigma where it does
-/// not (logarithms of noisy dark values are biased); sigma from the table's variance and FitOptions::model_sigma; Huber loss.
-/// The result depends neither on a seed nor on the number of threads. Throws Error{input} when the table has too few usable cells.
-FitResult fit_table(const brdf::HalfAngleTable& table, const FitOptions& options = {}, const Progress& progress = {});
+/// Residual of a cell: ln(model / mean) / sigma where the signal stands well above its noise, (model - mean)
+/// / sigma where it does not (logarithms of noisy dark values are biased); sigma from the table's variance
+/// and FitOptions::model_sigma; Huber loss. The result depends neither on a seed nor on the number of
+/// threads. Throws Error{input} when the table has too few usable cells.
+FitResult fit_table(const brdf::HalfAngleTable& table, const FitOptions& options = {},
+                    const Progress& progress = {});
 
-/// Text of fit.json; the paint entry ("kd", "lobes") is at top level as in papers/table1.json. The same result gives the same
-/// bytes: times and threads are not in it.
+/// Text of fit.json; the paint entry ("kd", "lobes") is at top level as in papers/table1.json. The same
+/// result gives the same bytes: times and threads are not in it.
 std::string fit_to_json(const FitResult& fit, bool absolute_scale, const std::string& provenance_json);
-void write_fit(const std::filesystem::path& file, const FitResult& fit, bool absolute_scale, const std::string& provenance_json);
+void write_fit(const std::filesystem::path& file, const FitResult& fit, bool absolute_scale,
+               const std::string& provenance_json);
 
 }  // namespace lacquer::fit

@@ -15,13 +15,18 @@ Json colour(const glm::dvec3& c) { return {c.x, c.y, c.z}; }
 void add_model(const brdf::CookTorrance& model, Json& j) {
   j["kd"] = colour(model.kd);
   j["lobes"] = Json::array();
-  for (const auto& lobe : model.lobes) j["lobes"].push_back({{"ks", colour(lobe.ks)}, {"m", lobe.m}, {"r", lobe.r}});
+  for (const auto& lobe : model.lobes)
+    j["lobes"].push_back({{"ks", colour(lobe.ks)}, {"m", lobe.m}, {"r", lobe.r}});
 }
 
 Json parameters(const FitResult& fit) {
   Json list = Json::array();
   for (const Parameter& p : fit.parameters)
-    list.push_back({{"name", p.name}, {"value", p.value}, {"sigma", p.sigma}, {"at_bound", p.at_bound}, {"determined", p.determined}});
+    list.push_back({{"name", p.name},
+                    {"value", p.value},
+                    {"sigma", p.sigma},
+                    {"at_bound", p.at_bound},
+                    {"determined", p.determined}});
   return list;
 }
 
@@ -48,9 +53,15 @@ Json candidates(const FitResult& fit) {
 }
 
 Json errors(const FitResult& fit) {
-  return {{"mean_abs_log", fit.mean_abs_log}, {"rms_log", fit.rms_log},           {"reduced_chi2", fit.reduced_chi2},
-          {"energy", fit.energy},             {"n_cells", fit.n_cells},           {"n_cells_available", fit.n_cells_available},
-          {"n_residuals", fit.n_residuals},   {"converged", fit.converged},       {"message", fit.message},
+  return {{"mean_abs_log", fit.mean_abs_log},
+          {"rms_log", fit.rms_log},
+          {"reduced_chi2", fit.reduced_chi2},
+          {"energy", fit.energy},
+          {"n_cells", fit.n_cells},
+          {"n_cells_available", fit.n_cells_available},
+          {"n_residuals", fit.n_residuals},
+          {"converged", fit.converged},
+          {"message", fit.message},
           {"left_out",
            {{"grazing", fit.left_out.grazing},
             {"not_positive", fit.left_out.not_positive},
@@ -59,9 +70,15 @@ Json errors(const FitResult& fit) {
 }
 
 Json options(const FitOptions& o) {
-  return {{"n_lobes", o.n_lobes},           {"n_starts", o.n_starts},         {"max_cells", o.max_cells},
-          {"model_sigma", o.model_sigma},   {"min_cosine", o.min_cosine},     {"min_m", o.min_m},
-          {"robust_scale", o.robust_scale}, {"energy_weight", o.energy_weight}, {"max_iterations", o.max_iterations}};
+  return {{"n_lobes", o.n_lobes},
+          {"n_starts", o.n_starts},
+          {"max_cells", o.max_cells},
+          {"model_sigma", o.model_sigma},
+          {"min_cosine", o.min_cosine},
+          {"min_m", o.min_m},
+          {"robust_scale", o.robust_scale},
+          {"energy_weight", o.energy_weight},
+          {"max_iterations", o.max_iterations}};
 }
 
 }  // namespace
@@ -86,7 +103,8 @@ std::string fit_to_json(const FitResult& fit, bool absolute_scale, const std::st
   }
 }
 
-void write_fit(const std::filesystem::path& file, const FitResult& fit, bool absolute_scale, const std::string& provenance_json) {
+void write_fit(const std::filesystem::path& file, const FitResult& fit, bool absolute_scale,
+               const std::string& provenance_json) {
   brdf::write_text_atomically(file, fit_to_json(fit, absolute_scale, provenance_json));
 }
 

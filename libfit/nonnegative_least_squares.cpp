@@ -7,9 +7,10 @@ namespace lacquer::fit {
 
 namespace {
 
-/// Solves G z = b on the rows `passive` by Cholesky, G with unit diagonal; false where G is numerically singular.
-bool solve_subset(const std::vector<double>& gram, const std::vector<double>& b, const std::vector<int>& passive, int n,
-                  std::vector<double>& z) {
+/// Solves G z = b on the rows `passive` by Cholesky, G with unit diagonal; false where G is numerically
+/// singular.
+bool solve_subset(const std::vector<double>& gram, const std::vector<double>& b,
+                  const std::vector<int>& passive, int n, std::vector<double>& z) {
   const int size = static_cast<int>(passive.size());
   std::vector<double> lower(static_cast<std::size_t>(size) * size);
   z.resize(static_cast<std::size_t>(size));
@@ -35,7 +36,11 @@ bool solve_subset(const std::vector<double>& gram, const std::vector<double>& b,
 class ActiveSet {
  public:
   ActiveSet(std::vector<double> gram, std::vector<double> rhs)
-      : n_(static_cast<int>(rhs.size())), gram_(std::move(gram)), rhs_(std::move(rhs)), x_(rhs_.size()), refused_(rhs_.size()) {}
+      : n_(static_cast<int>(rhs.size())),
+        gram_(std::move(gram)),
+        rhs_(std::move(rhs)),
+        x_(rhs_.size()),
+        refused_(rhs_.size()) {}
 
   const std::vector<double>& x() const { return x_; }
 

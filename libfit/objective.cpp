@@ -30,10 +30,12 @@ Residual residual(const Observation& o, double f) {
   if (!o.logarithmic) return {(f - o.mean) * o.inverse_sigma, o.inverse_sigma, 0};
   const double floor = log_floor * o.mean;
   const double slope = o.inverse_sigma / (f + floor);
-  return {(std::log((f + floor) / (o.mean + floor)) - o.log_bias) * o.inverse_sigma, slope, -slope / (f + floor)};
+  return {(std::log((f + floor) / (o.mean + floor)) - o.log_bias) * o.inverse_sigma, slope,
+          -slope / (f + floor)};
 }
 
-/// Huber: rho(r) = r^2 up to `scale`, 2 scale |r| - scale^2 beyond; `weight` = rho' / 2r, `curvature` = rho'' / 2.
+/// Huber: rho(r) = r^2 up to `scale`, 2 scale |r| - scale^2 beyond; `weight` = rho' / 2r, `curvature` = rho''
+/// / 2.
 struct Huber {
   double rho, weight = 1, curvature = 1;
   Huber(double r, double scale) : rho(r * r) {
@@ -88,7 +90,8 @@ void add_point(const Observations& observations, const Point& point, const Param
                const brdf::CookTorrance& model, double robust_scale, Curvature kind, Sums& sums) {
   const int n_lobes = layout.n_lobes, n = 1 + 3 * n_lobes;
   std::array<SecondOrder, max_lobes> lobes;
-  for (int l = 0; l < n_lobes; ++l) lobes[l] = lobe_with_derivatives(model.lobes[l].m, model.lobes[l].r, point.cosines);
+  for (int l = 0; l < n_lobes; ++l)
+    lobes[l] = lobe_with_derivatives(model.lobes[l].m, model.lobes[l].r, point.cosines);
 
   std::array<double, max_local> row;  // gradient of the model's value
   row[0] = std::numbers::inv_pi;
@@ -135,13 +138,14 @@ struct Escape {
   }
 };
 
-/// Residual of the energy penalty of one channel: 0 while the albedo is at most 1. Scaled by the number of observations, so that it
-/// means the same for any table. Its square is smooth.
+/// Residual of the energy penalty of one channel: 0 while the albedo is at most 1. Scaled by the number of
+/// observations, so that it means the same for any table. Its square is smooth.
 double energy_residual(double albedo, double weight, std::size_t n_values) {
   return std::max(0.0, albedo - 1) * weight * std::sqrt(static_cast<double>(n_values));
 }
 
-void add_energy(const ParameterLayout& layout, const brdf::CookTorrance& model, double weight, std::size_t n_values, Quadratic& q) {
+void add_energy(const ParameterLayout& layout, const brdf::CookTorrance& model, double weight,
+                std::size_t n_values, Quadratic& q) {
   const glm::dvec3 albedo = normal_incidence_albedo(model);
   const double slope = weight * std::sqrt(static_cast<double>(n_values));
   const int n = layout.size();

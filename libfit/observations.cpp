@@ -14,19 +14,25 @@ namespace {
 using brdf::CellOrigin;
 using brdf::TableGrid;
 
-/// Below this many sigmas a value is compared linearly: at 5 sigma the logarithm is still biased by 2 % before, 0.1 % after correction.
+/// Below this many sigmas a value is compared linearly: at 5 sigma the logarithm is still biased by 2 %
+/// before, 0.1 % after correction.
 constexpr double weak_signal = 5.0;
 
-brdf::HalfDiff coordinates(const brdf::TableChannel& t, std::size_t i) { return {t.theta_h[i], t.theta_d[i], t.phi_d[i]}; }
+brdf::HalfDiff coordinates(const brdf::TableChannel& t, std::size_t i) {
+  return {t.theta_h[i], t.theta_d[i], t.phi_d[i]};
+}
 
 bool same_place(const brdf::TableChannel& a, const brdf::TableChannel& b, std::size_t i) {
-  return a.theta_h[i] == b.theta_h[i] && a.theta_d[i] == b.theta_d[i] && a.phi_d[i] == b.phi_d[i] && a.footprint2[i] == b.footprint2[i];
+  return a.theta_h[i] == b.theta_h[i] && a.theta_d[i] == b.theta_d[i] && a.phi_d[i] == b.phi_d[i] &&
+         a.footprint2[i] == b.footprint2[i];
 }
 
 bool in_hemisphere(const brdf::HalfDiff& c) {
   constexpr double half_pi = std::numbers::pi / 2;
-  // Not written with "outside" comparisons: NaN must fail. At theta_h = 90 deg no direction is above the horizon.
-  return c.theta_h >= 0 && c.theta_h < half_pi && c.theta_d >= 0 && c.theta_d <= half_pi + 1e-6 && std::isfinite(c.phi_d);
+  // Not written with "outside" comparisons: NaN must fail. At theta_h = 90 deg no direction is above the
+  // horizon.
+  return c.theta_h >= 0 && c.theta_h < half_pi && c.theta_d >= 0 && c.theta_d <= half_pi + 1e-6 &&
+         std::isfinite(c.phi_d);
 }
 
 /// Decides about one channel of one cell, counts why not.
@@ -37,8 +43,8 @@ bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, LeftO
     return false;
   }
   const brdf::HalfDiff c = coordinates(t, i);
-  if (!std::isfinite(t.mean[i]) || !std::isfinite(t.variance[i]) || t.variance[i] < 0 || !in_hemisphere(c) || !std::isfinite(t.footprint2[i]) ||
-      t.footprint2[i] < 0) {
+  if (!std::isfinite(t.mean[i]) || !std::isfinite(t.variance[i]) || t.variance[i] < 0 || !in_hemisphere(c) ||
+      !std::isfinite(t.footprint2[i]) || t.footprint2[i] < 0) {
     ++left_out.not_finite;
     return false;
   }
@@ -54,7 +60,8 @@ bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, LeftO
   return true;
 }
 
-/// Splits ascending indices into runs of one (theta_h, group of `width` theta_d) each; returns the run lengths.
+/// Splits ascending indices into runs of one (theta_h, group of `width` theta_d) each; returns the run
+/// lengths.
 std::vector<std::uint32_t> group_sizes(const std::vector<std::uint32_t>& cells, int width) {
   std::vector<std::uint32_t> sizes;
   std::int64_t previous = -1;
@@ -76,7 +83,8 @@ std::uint64_t total_with_limit(const std::vector<std::uint32_t>& sizes, std::uin
 
 }  // namespace
 
-std::vector<std::uint32_t> usable_cells(const brdf::HalfAngleTable& table, const FitOptions& options, LeftOut& left_out) {
+std::vector<std::uint32_t> usable_cells(const brdf::HalfAngleTable& table, const FitOptions& options,
+                                        LeftOut& left_out) {
   struct Row {
     std::vector<std::uint32_t> cells;
     LeftOut left_out;
@@ -86,7 +94,8 @@ std::vector<std::uint32_t> usable_cells(const brdf::HalfAngleTable& table, const
   tbb::parallel_for(std::size_t{0}, rows.size(), [&](std::size_t row) {
     for (std::size_t i = row * per_row; i < (row + 1) * per_row; ++i) {
       bool any = false;
-      for (const auto& channel : table.channels) any |= usable(channel, i, options.min_cosine, rows[row].left_out);
+      for (const auto& channel : table.channels)
+        any |= usable(channel, i, options.min_cosine, rows[row].left_out);
       if (any) rows[row].cells.push_back(static_cast<std::uint32_t>(i));
     }
   });
@@ -106,16 +115,21 @@ std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& c
   int width = 1;
   std::vector<std::uint32_t> sizes = group_sizes(cells, width);
   while (sizes.size() > max_cells && width < TableGrid::n_theta_d) sizes = group_sizes(cells, width *= 2);
-  if (sizes.size() > max_cells) sizes = {static_cast<std::uint32_t>(cells.size())};  // fewer cells asked for than theta_h rows
+  if (sizes.size() > max_cells)
+    sizes = {static_cast<std::uint32_t>(cells.size())};  // fewer cells asked for than theta_h rows
 
-  std::uint32_t low = 1, high = static_cast<std::uint32_t>(max_cells);  // largest limit per group that keeps the total
+  std::uint32_t low = 1,
+                high = static_cast<std::uint32_t>(max_cells);  // largest limit per group that keeps the total
   while (low < high) {
     const std::uint32_t middle = low + (high - low + 1) / 2;
-    if (total_with_limit(sizes, middle) <= max_cells) low = middle;
-    else high = middle - 1;
+    if (total_with_limit(sizes, middle) <= max_cells)
+      low = middle;
+    else
+      high = middle - 1;
   }
   // What is left over goes to every so many-th of the groups that have more.
-  const auto larger = static_cast<std::uint64_t>(std::count_if(sizes.begin(), sizes.end(), [&](auto size) { return size > low; }));
+  const auto larger = static_cast<std::uint64_t>(
+      std::count_if(sizes.begin(), sizes.end(), [&](auto size) { return size > low; }));
   const std::uint64_t left_over = max_cells - total_with_limit(sizes, low);
   std::uint64_t seen = 0;
 
@@ -130,7 +144,8 @@ std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& c
       ++seen;
     }
     for (std::uint32_t k = 0; k < n; ++k) {
-      // The first place within a step moves from group to group by the golden ratio, so that phi_d is covered evenly as a whole.
+      // The first place within a step moves from group to group by the golden ratio, so that phi_d is covered
+      // evenly as a whole.
       const auto place = static_cast<std::size_t>((k + (n == size ? 0.0 : shift)) * size / n);
       chosen.push_back(cells[begin + place]);
     }
@@ -141,7 +156,8 @@ std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& c
   return chosen;
 }
 
-Observations observe(const brdf::HalfAngleTable& table, const std::vector<std::uint32_t>& cells, const FitOptions& options) {
+Observations observe(const brdf::HalfAngleTable& table, const std::vector<std::uint32_t>& cells,
+                     const FitOptions& options) {
   Observations result;
   result.n_channels = static_cast<int>(table.channels.size());
   result.n_cells = cells.size();
@@ -159,7 +175,8 @@ Observations observe(const brdf::HalfAngleTable& table, const std::vector<std::u
         result.points.back().cosines.footprint2 = t.footprint2[i];
       }
       previous = &t;
-      result.values.push_back({.mean = t.mean[i], .variance = t.variance[i], .channel = static_cast<std::uint8_t>(c)});
+      result.values.push_back(
+          {.mean = t.mean[i], .variance = t.variance[i], .channel = static_cast<std::uint8_t>(c)});
       result.points.back().end = next + 1;
     }
   }

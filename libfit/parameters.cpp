@@ -65,7 +65,8 @@ std::vector<double> ParameterLayout::upper_bounds() const {
 }
 
 brdf::CookTorrance sorted_by_falling_m(brdf::CookTorrance model) {
-  std::stable_sort(model.lobes.begin(), model.lobes.end(), [](const auto& a, const auto& b) { return a.m > b.m; });
+  std::stable_sort(model.lobes.begin(), model.lobes.end(),
+                   [](const auto& a, const auto& b) { return a.m > b.m; });
   return model;
 }
 

@@ -7,8 +7,9 @@
 
 namespace lacquer::fit {
 
-/// Where each parameter of the model sits in the solver's vector: kd per channel, ks per lobe and channel, then ln(m) and r per
-/// lobe. ln(m), because m spans three decades and a step of the solver is a relative one.
+/// Where each parameter of the model sits in the solver's vector: kd per channel, ks per lobe and channel,
+/// then ln(m) and r per lobe. ln(m), because m spans three decades and a step of the solver is a relative
+/// one.
 struct ParameterLayout {
   int n_channels = 3;  ///< 1 or 3
   int n_lobes = 3;

@@ -4,11 +4,11 @@
 
 namespace lacquer::fit {
 
-/// A number with its first and second derivatives by two variables: the scalar that makes the model's one text, CookTorranceLobe,
-/// deliver the Hessian of a lobe by ln(m) and r.
+/// A number with its first and second derivatives by two variables: the scalar that makes the model's one
+/// text, CookTorranceLobe, deliver the Hessian of a lobe by ln(m) and r.
 struct SecondOrder {
   double value = 0;
-  double d1 = 0, d2 = 0;              ///< by the first and the second variable
+  double d1 = 0, d2 = 0;  ///< by the first and the second variable
   double d11 = 0, d12 = 0, d22 = 0;
 
   /// The function of this number with that value, slope and curvature.

@@ -12,8 +12,9 @@ namespace lacquer::fit {
 
 namespace {
 
-/// Upper Cholesky factor R of a positive semidefinite matrix, R^T R = a, as far as its numerical rank goes: a row whose pivot
-/// vanishes beside its diagonal is zero (a parameter the data says nothing about). False: `a` is indefinite, beyond rounding.
+/// Upper Cholesky factor R of a positive semidefinite matrix, R^T R = a, as far as its numerical rank goes: a
+/// row whose pivot vanishes beside its diagonal is zero (a parameter the data says nothing about). False: `a`
+/// is indefinite, beyond rounding.
 bool semidefinite_factor(const std::vector<double>& a, int n, std::vector<double>& factor) {
   constexpr double rounding = 1e-14;
   bool semidefinite = true;
@@ -28,19 +29,22 @@ bool semidefinite_factor(const std::vector<double>& a, int n, std::vector<double
     for (int j = k + 1; j < n; ++j) {
       double sum = a[k * n + j];
       for (int i = 0; i < k; ++i) sum -= factor[i * n + k] * factor[i * n + j];
-      if (!vanishes) factor[k * n + j] = sum / root;
-      else semidefinite &= std::abs(sum) <= 1e-5 * std::sqrt(std::abs(a[k * n + k])) * std::sqrt(std::abs(a[j * n + j]));
+      if (!vanishes)
+        factor[k * n + j] = sum / root;
+      else
+        semidefinite &=
+            std::abs(sum) <= 1e-5 * std::sqrt(std::abs(a[k * n + k])) * std::sqrt(std::abs(a[j * n + j]));
     }
   }
   return semidefinite;
 }
 
-/// The whole objective as n + 1 residuals: n rows R with R^T R = the curvature and residuals R^-T g, and one residual without
-/// derivative that holds the rest of the cost. Ceres sees the cost and gradient of the millions of single residuals, whose Jacobian
-/// is never stored, and a better curvature.
+/// The whole objective as n + 1 residuals: n rows R with R^T R = the curvature and residuals R^-T g, and one
+/// residual without derivative that holds the rest of the cost. Ceres sees the cost and gradient of the
+/// millions of single residuals, whose Jacobian is never stored, and a better curvature.
 ///
-/// Parameters at a bound whose gradient points outwards are held (zero column): Ceres would clip their step after solving for
-/// it, which spoils the step of everything correlated with them.
+/// Parameters at a bound whose gradient points outwards are held (zero column): Ceres would clip their step
+/// after solving for it, which spoils the step of everything correlated with them.
 class CompressedObjective final : public ceres::CostFunction {
  public:
   CompressedObjective(const Objective& objective, std::vector<double> lower, std::vector<double> upper)
@@ -54,7 +58,8 @@ class CompressedObjective final : public ceres::CostFunction {
     const std::vector<double> x(parameters[0], parameters[0] + n);
     std::fill(residuals, residuals + n + 1, 0.0);
     if (!jacobians || !jacobians[0]) {
-      // A wild step may overflow. Ceres takes a large cost as a bad step; a failed evaluation it would report on stderr.
+      // A wild step may overflow. Ceres takes a large cost as a bad step; a failed evaluation it would report
+      // on stderr.
       const double cost = objective_.cost(x);
       residuals[n] = std::isfinite(cost) ? std::sqrt(cost) : 1e150;
       return true;
@@ -68,7 +73,8 @@ class CompressedObjective final : public ceres::CostFunction {
  private:
   int size() const { return objective_.layout().size(); }
 
-  /// Always fills the output; false where the quadratic has no such form, which for Gauss-Newton's is nothing but rounding.
+  /// Always fills the output; false where the quadratic has no such form, which for Gauss-Newton's is nothing
+  /// but rounding.
   bool compress(Quadratic q, const std::vector<double>& x, double* residuals, double* jacobian) const {
     const int n = size();
     hold_parameters_at_bounds(x, q);
@@ -103,13 +109,15 @@ class CompressedObjective final : public ceres::CostFunction {
   std::vector<double> lower_, upper_;
 };
 
-/// Stops when a step moves nothing that matters: cost is a sum of squares in sigmas, so a gain of 1e-8 moves every parameter by less
-/// than about 1e-4 of its standard error. Ends the creeping along valleys of parameters that are not determined.
+/// Stops when a step moves nothing that matters: cost is a sum of squares in sigmas, so a gain of 1e-8 moves
+/// every parameter by less than about 1e-4 of its standard error. Ends the creeping along valleys of
+/// parameters that are not determined.
 class StopWhenInsignificant final : public ceres::IterationCallback {
  public:
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& step) override {
     constexpr double insignificant = 1e-8;
-    if (step.iteration == 0 || !step.step_is_successful || 2 * step.cost_change > insignificant) return ceres::SOLVER_CONTINUE;
+    if (step.iteration == 0 || !step.step_is_successful || 2 * step.cost_change > insignificant)
+      return ceres::SOLVER_CONTINUE;
     return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
   }
 };
@@ -147,7 +155,7 @@ Solution minimise(const Objective& objective, std::vector<double> start, const S
   solver.parameter_tolerance = 1e-13;
   solver.max_num_consecutive_invalid_steps = 20;
   solver.logging_type = ceres::SILENT;
-  solver.num_threads = 1;  // the objective is parallel inside
+  solver.num_threads = 1;                                    // the objective is parallel inside
   solver.line_search_interpolation_type = ceres::BISECTION;  // the others evaluate a gradient for each trial
   StopWhenInsignificant stop;
   solver.callbacks.push_back(&stop);
@@ -156,7 +164,8 @@ Solution minimise(const Objective& objective, std::vector<double> start, const S
   ceres::Solve(solver, &problem, &summary);
 
   solution.cost = 2 * summary.final_cost;
-  solution.converged = summary.termination_type == ceres::CONVERGENCE || summary.termination_type == ceres::USER_SUCCESS;
+  solution.converged =
+      summary.termination_type == ceres::CONVERGENCE || summary.termination_type == ceres::USER_SUCCESS;
   solution.message = reason(summary);
   return solution;
 }

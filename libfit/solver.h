@@ -8,7 +8,7 @@
 namespace lacquer::fit {
 
 struct SolverOptions {
-  double min_m = 0.001;               ///< lower bound of m
+  double min_m = 0.001;  ///< lower bound of m
   int max_iterations = 200;
   double function_tolerance = 1e-10;  ///< stop when a step gains less than this share of the cost
 };

@@ -14,7 +14,7 @@ namespace lacquer::fit {
 
 namespace {
 
-constexpr int grid_size = 20;           // neighbours differ by a factor of 1.32 (0.005 .. 1)
+constexpr int grid_size = 20;               // neighbours differ by a factor of 1.32 (0.005 .. 1)
 constexpr double narrowest_grid_m = 0.005;  // 0.3 deg, below the footprint of any light of the rig
 
 /// Columns: diffuse, then lobe(m, 1) and lobe(m, 0) for each m of the grid.
@@ -24,7 +24,8 @@ using Columns = std::array<double, n_columns>;
 std::array<double, grid_size> m_grid(double min_m) {
   std::array<double, grid_size> grid;
   const double first = std::log(std::max(min_m, narrowest_grid_m));
-  for (int i = 0; i < grid_size; ++i) grid[i] = std::exp(first * (1 - static_cast<double>(i) / (grid_size - 1)));
+  for (int i = 0; i < grid_size; ++i)
+    grid[i] = std::exp(first * (1 - static_cast<double>(i) / (grid_size - 1)));
   return grid;
 }
 
@@ -55,11 +56,12 @@ struct ChannelGram {
 };
 
 std::size_t theta_h_row(const Point& p) {
-  return static_cast<std::size_t>(brdf::TableGrid::cell(brdf::HalfDiff{std::acos(p.cosines.n_dot_h), 0, 0}).theta_h);
+  return static_cast<std::size_t>(
+      brdf::TableGrid::cell(brdf::HalfDiff{std::acos(p.cosines.n_dot_h), 0, 0}).theta_h);
 }
 
-/// Lower quartile of the positive means of a channel per theta_h row, 0 where there is none: the level that no sound value of the row
-/// falls far below.
+/// Lower quartile of the positive means of a channel per theta_h row, 0 where there is none: the level that
+/// no sound value of the row falls far below.
 std::vector<double> row_levels(const Observations& observations, int channel) {
   std::vector<std::vector<float>> rows(brdf::TableGrid::n_theta_h);
   for (const Point& p : observations.points)
@@ -80,7 +82,8 @@ std::vector<double> row_levels(const Observations& observations, int channel) {
   return levels;
 }
 
-std::vector<ChannelGram> channel_grams(const Observations& observations, const std::array<double, grid_size>& grid) {
+std::vector<ChannelGram> channel_grams(const Observations& observations,
+                                       const std::array<double, grid_size>& grid) {
   std::vector<ChannelGram> grams(static_cast<std::size_t>(observations.n_channels));
   std::vector<std::vector<double>> levels;
   for (int c = 0; c < observations.n_channels; ++c) levels.push_back(row_levels(observations, c));
@@ -90,7 +93,8 @@ std::vector<ChannelGram> channel_grams(const Observations& observations, const s
     const std::size_t theta_h = theta_h_row(p);
     for (std::uint32_t k = p.first; k < p.end; ++k) {
       const Observation& o = observations.values[k];
-      // sigma of the value from sigma of its logarithm. A stray low value would get an enormous weight: not below a third of its row.
+      // sigma of the value from sigma of its logarithm. A stray low value would get an enormous weight: not
+      // below a third of its row.
       const double level = std::max(double{o.mean}, levels[o.channel][theta_h] / 3);
       grams[o.channel].add(row, o.mean, o.logarithmic ? o.inverse_sigma / level : o.inverse_sigma);
     }
@@ -130,7 +134,8 @@ NonnegativeSolution solve(const ChannelGram& channel, const Choice& choice) {
   return nonnegative_least_squares(gram, rhs);
 }
 
-brdf::CookTorrance model_of(const std::vector<ChannelGram>& grams, const Choice& choice, const std::array<double, grid_size>& grid) {
+brdf::CookTorrance model_of(const std::vector<ChannelGram>& grams, const Choice& choice,
+                            const std::array<double, grid_size>& grid) {
   brdf::CookTorrance model;
   model.lobes.resize(choice.size());
   std::vector<double> normal(choice.size()), total(choice.size());
@@ -161,17 +166,20 @@ bool neighbours(const Choice& a, const Choice& b) {
 
 }  // namespace
 
-std::vector<brdf::CookTorrance> scan_for_starts(const Observations& observations, int n_lobes, std::size_t count, double min_m) {
+std::vector<brdf::CookTorrance> scan_for_starts(const Observations& observations, int n_lobes,
+                                                std::size_t count, double min_m) {
   const auto grid = m_grid(min_m);
   const std::vector<ChannelGram> grams = channel_grams(observations, grid);
   const std::vector<Choice> choices = all_choices(n_lobes);
   std::vector<double> cost(choices.size());
   tbb::parallel_for(std::size_t{0}, choices.size(), [&](std::size_t i) {
-    for (const ChannelGram& channel : grams) cost[i] += channel.squared_mean - solve(channel, choices[i]).reduction;
+    for (const ChannelGram& channel : grams)
+      cost[i] += channel.squared_mean - solve(channel, choices[i]).reduction;
   });
   std::vector<std::size_t> order(choices.size());
   for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
-  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return cost[a] < cost[b]; });
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::size_t a, std::size_t b) { return cost[a] < cost[b]; });
 
   std::vector<Choice> chosen;
   for (const std::size_t i : order) {

@@ -8,13 +8,16 @@ namespace lacquer::fit {
 
 namespace {
 
-/// Below this eigenvalue of the correlation-scaled matrix (trace n) a direction carries nothing but rounding errors.
+/// Below this eigenvalue of the correlation-scaled matrix (trace n) a direction carries nothing but rounding
+/// errors.
 constexpr double null_eigenvalue = 1e-13;
 /// Share of a parameter in the null directions from which it counts as undetermined.
 constexpr double null_share = 1e-6;
 
-/// Parameters that can have a sigma at all: not those of a lobe that is off, nor those the objective does not react to.
-std::vector<int> live_parameters(const ParameterLayout& layout, const std::vector<double>& x, const Quadratic& q) {
+/// Parameters that can have a sigma at all: not those of a lobe that is off, nor those the objective does not
+/// react to.
+std::vector<int> live_parameters(const ParameterLayout& layout, const std::vector<double>& x,
+                                 const Quadratic& q) {
   std::vector<bool> live(x.size(), true);
   for (int l = 0; l < layout.n_lobes; ++l) {
     bool off = true;
@@ -35,20 +38,24 @@ struct Inverse {
   std::vector<bool> determined;
 };
 
-/// Pseudo-inverse of the Gauss-Newton matrix on the live parameters; null directions are dropped and those who live in them named.
+/// Pseudo-inverse of the Gauss-Newton matrix on the live parameters; null directions are dropped and those
+/// who live in them named.
 Inverse invert(const Quadratic& q, int n, const std::vector<int>& live) {
   const int size = static_cast<int>(live.size());
   std::vector<double> scale(live.size()), scaled(live.size() * live.size());
   for (int i = 0; i < size; ++i) scale[i] = 1 / std::sqrt(q.curvature[live[i] * n + live[i]]);
   for (int i = 0; i < size; ++i)
-    for (int j = 0; j < size; ++j) scaled[i * size + j] = q.curvature[live[i] * n + live[j]] * scale[i] * scale[j];
+    for (int j = 0; j < size; ++j)
+      scaled[i * size + j] = q.curvature[live[i] * n + live[j]] * scale[i] * scale[j];
 
   const Eigensystem eigen = symmetric_eigensystem(scaled, size);
-  Inverse result{.covariance = std::vector<double>(scaled.size()), .determined = std::vector<bool>(live.size(), true)};
+  Inverse result{.covariance = std::vector<double>(scaled.size()),
+                 .determined = std::vector<bool>(live.size(), true)};
   for (int i = 0; i < size; ++i) {
     double in_null_space = 0;
     for (int k = 0; k < size; ++k)
-      if (eigen.values[k] < null_eigenvalue) in_null_space += eigen.vectors[k * size + i] * eigen.vectors[k * size + i];
+      if (eigen.values[k] < null_eigenvalue)
+        in_null_space += eigen.vectors[k * size + i] * eigen.vectors[k * size + i];
     result.determined[i] = in_null_space < null_share;
     for (int j = 0; j < size; ++j) {
       double sum = 0;
@@ -103,12 +110,14 @@ Eigensystem symmetric_eigensystem(std::vector<double> a, int n) {
   return result;
 }
 
-void add_uncertainty(const Objective& objective, const std::vector<double>& x, double min_m, FitResult& result) {
+void add_uncertainty(const Objective& objective, const std::vector<double>& x, double min_m,
+                     FitResult& result) {
   const ParameterLayout& layout = objective.layout();
   const int n = layout.size();
   const Quadratic q = objective.quadratic(x);
   const std::size_t n_values = objective.observations().values.size();
-  result.reduced_chi2 = q.cost / static_cast<double>(std::max<std::size_t>(1, n_values - std::min(n_values, x.size())));
+  result.reduced_chi2 =
+      q.cost / static_cast<double>(std::max<std::size_t>(1, n_values - std::min(n_values, x.size())));
 
   const std::vector<double> lower = layout.lower_bounds(min_m), upper = layout.upper_bounds();
   const std::vector<std::string> names = layout.names();
@@ -116,8 +125,10 @@ void add_uncertainty(const Objective& objective, const std::vector<double>& x, d
   std::vector<bool> is_shape(x.size(), false);
   result.parameters.clear();
   for (int k = 0; k < n; ++k)
-    result.parameters.push_back(
-        {.name = names[k], .value = x[k], .at_bound = x[k] <= lower[k] || x[k] >= upper[k], .determined = false});
+    result.parameters.push_back({.name = names[k],
+                                 .value = x[k],
+                                 .at_bound = x[k] <= lower[k] || x[k] >= upper[k],
+                                 .determined = false});
   for (int l = 0; l < layout.n_lobes; ++l) {
     const int log_m = layout.log_m(l);
     result.parameters[log_m].value = to_public[log_m] = std::exp(x[log_m]);
@@ -143,8 +154,9 @@ void add_uncertainty(const Objective& objective, const std::vector<double>& x, d
   result.covariance.assign(x.size() * x.size(), 0.0);
   for (const int i : sound)
     for (const int j : sound)
-      result.covariance[live[i] * n + live[j]] = inverse.covariance[i * live.size() + static_cast<std::size_t>(j)] * inflation *
-                                                 to_public[live[i]] * to_public[live[j]];
+      result.covariance[live[i] * n + live[j]] =
+          inverse.covariance[i * live.size() + static_cast<std::size_t>(j)] * inflation * to_public[live[i]] *
+          to_public[live[j]];
 }
 
 }  // namespace lacquer::fit

@@ -9,14 +9,17 @@ namespace lacquer::fit {
 
 /// Fills parameters, covariance and reduced_chi2 of `result` at `x`, the solution.
 ///
-/// Covariance: inverse of the Gauss-Newton matrix, times reduced chi^2 where that exceeds 1 (the scatter about the model is then
-/// larger than the stated errors). Not determined, with sigma 0: a parameter that takes part in a direction along which the
-/// objective does not change, m known worse than its own size, r known worse than its range. ks, m, r of a lobe that is off (all its
-/// ks at 0) are left out; other parameters at a bound keep the sigma of the curvature, so that a physical limit does not make
-/// what is correlated with them look certain.
-void add_uncertainty(const Objective& objective, const std::vector<double>& x, double min_m, FitResult& result);
+/// Covariance: inverse of the Gauss-Newton matrix, times reduced chi^2 where that exceeds 1 (the scatter
+/// about the model is then larger than the stated errors). Not determined, with sigma 0: a parameter that
+/// takes part in a direction along which the objective does not change, m known worse than its own size, r
+/// known worse than its range. ks, m, r of a lobe that is off (all its ks at 0) are left out; other
+/// parameters at a bound keep the sigma of the curvature, so that a physical limit does not make what is
+/// correlated with them look certain.
+void add_uncertainty(const Objective& objective, const std::vector<double>& x, double min_m,
+                     FitResult& result);
 
-/// Eigenvalues (ascending) and eigenvectors (row k belongs to value k) of a symmetric row-major matrix, by Jacobi's rotations.
+/// Eigenvalues (ascending) and eigenvectors (row k belongs to value k) of a symmetric row-major matrix, by
+/// Jacobi's rotations.
 struct Eigensystem {
   std::vector<double> values, vectors;
 };

@@ -35,18 +35,20 @@ std::string one_line(const brdf::CookTorrance& model) {
 std::string to_text(const Options& options, const brdf::Brdf& input, const fit::FitResult& fit) {
   std::string text = fmt::format("input        {} ({})\n\n", options.input, input.description());
   text += parameter_table(fit, nullptr);
-  text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n", fit.mean_abs_log,
-                      fit.rms_log);
+  text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n",
+                      fit.mean_abs_log, fit.rms_log);
   text += fmt::format("chi2/n       {:.4g}{}\n", fit.reduced_chi2,
                       fit.reduced_chi2 > 1 ? "   above 1: standard errors are scaled up by its root" : "");
   text += fmt::format("energy       {:.3f}   normal-incidence albedo, largest channel{}\n", fit.energy,
                       fit.energy > 1 ? ": IMPLAUSIBLE, more than 1" : "");
   text += fmt::format("cells        {} of {} usable\n", fit.n_cells, fit.n_cells_available);
   const auto& out = fit.left_out;
-  text += fmt::format("left out     {} grazing, {} not positive, {} not finite, {} not measured (cells times channels)\n", out.grazing,
-                      out.not_positive, out.not_finite, out.not_measured);
+  text += fmt::format(
+      "left out     {} grazing, {} not positive, {} not finite, {} not measured (cells times channels)\n",
+      out.grazing, out.not_positive, out.not_finite, out.not_measured);
   for (std::size_t i = 0; i < fit.candidates.size(); ++i)
-    text += fmt::format("minimum {}    cost {:.6g}: {}\n", i + 1, fit.candidates[i].cost, one_line(fit.candidates[i].model));
+    text += fmt::format("minimum {}    cost {:.6g}: {}\n", i + 1, fit.candidates[i].cost,
+                        one_line(fit.candidates[i].model));
   text += fmt::format("solver       {}{}\n", fit.converged ? "" : "DID NOT CONVERGE: ", fit.message);
   text += fmt::format("time         {:.2f} s\n", fit.seconds);
   if (!options.output.empty()) text += fmt::format("fit          {}\n", options.output);
@@ -58,17 +60,23 @@ std::string to_text(const Options& options, const brdf::Brdf& input, const fit::
 void add_fit(CLI::App& app, Context& context) {
   auto options = std::make_shared<Options>();
   fit::FitOptions& o = options->fit;
-  CLI::App* command = app.add_subcommand("fit", "table -> multi-lobe Cook-Torrance parameters with standard errors");
+  CLI::App* command =
+      app.add_subcommand("fit", "table -> multi-lobe Cook-Torrance parameters with standard errors");
   command->add_option("TABLE", options->input, "table.exr, MERL .binary, RGL .bsdf or a model")->required();
   command->add_option("-o,--output", options->output, "fit.json to write");
   command->add_option("--lobes", o.n_lobes, "number of lobes, 0 to 5")->capture_default_str();
   command->add_option("--max-cells", o.max_cells, "cells used, spread over the table")->capture_default_str();
   command->add_option("--starts", o.n_starts, "starts that are refined")->capture_default_str();
-  command->add_option("--model-sigma", o.model_sigma, "relative error of model and cell average, beside the table's variance")
+  command
+      ->add_option("--model-sigma", o.model_sigma,
+                   "relative error of model and cell average, beside the table's variance")
       ->capture_default_str();
-  command->add_option("--max-theta-deg", options->max_theta_deg, "leave out light and camera directions beyond this")
+  command
+      ->add_option("--max-theta-deg", options->max_theta_deg,
+                   "leave out light and camera directions beyond this")
       ->capture_default_str();
-  command->add_option("--threads", o.threads, "0: all; the result does not depend on it")->capture_default_str();
+  command->add_option("--threads", o.threads, "0: all; the result does not depend on it")
+      ->capture_default_str();
   command->add_flag("--json", options->json, "the fit as JSON instead of lines for people");
   command->callback([options, &context] {
     options->fit.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);

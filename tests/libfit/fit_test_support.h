@@ -14,8 +14,8 @@
 
 namespace lacquer::test {
 
-inline const std::vector<std::string> paint_names{"ford-f8",      "polaris-silber", "opel-titan", "bmw-339",
-                                                  "2k-acrylack", "white",          "blue",       "blue-matte"};
+inline const std::vector<std::string> paint_names{
+    "ford-f8", "polaris-silber", "opel-titan", "bmw-339", "2k-acrylack", "white", "blue", "blue-matte"};
 
 /// A paint of Günther et al. 2005, Table 1.
 inline brdf::CookTorrance paint(const std::string& name) {
@@ -28,9 +28,10 @@ inline brdf::CookTorrance diffuse(const glm::dvec3& kd) {
   return model;
 }
 
-/// Noise-free table of every n-th cell (a prime, so that every row of the grid keeps cells of all azimuths), float values at cell
-/// centres. Quick, where brdf::tabulate_brdf takes a while for all 1.4 million cells.
-inline brdf::HalfAngleTable table_of(const brdf::CookTorrance& model, std::size_t every = 7, std::size_t n_channels = 3) {
+/// Noise-free table of every n-th cell (a prime, so that every row of the grid keeps cells of all azimuths),
+/// float values at cell centres. Quick, where brdf::tabulate_brdf takes a while for all 1.4 million cells.
+inline brdf::HalfAngleTable table_of(const brdf::CookTorrance& model, std::size_t every = 7,
+                                     std::size_t n_channels = 3) {
   brdf::HalfAngleTable table(n_channels);
   for (std::size_t i = every / 2; i < brdf::TableGrid::n_cells; i += every) {
     const auto centre = brdf::TableGrid::centre(i);
@@ -61,7 +62,8 @@ inline std::vector<double> parameter_values(const brdf::CookTorrance& model) {
 }
 
 /// Gaussian noise, sigma = hypot(relative * value, floor), with its true variance in the table.
-inline brdf::HalfAngleTable with_noise(brdf::HalfAngleTable table, double relative, double floor, unsigned seed) {
+inline brdf::HalfAngleTable with_noise(brdf::HalfAngleTable table, double relative, double floor,
+                                       unsigned seed) {
   std::mt19937_64 generator(seed);
   std::normal_distribution<double> normal;
   for (auto& channel : table.channels)
@@ -79,7 +81,8 @@ inline double mean_abs_log(const brdf::CookTorrance& fit, const brdf::CookTorran
   double sum = 0;
   std::size_t n = 0;
   for (std::size_t i = 0; i < brdf::TableGrid::n_cells; i += 137) {
-    if (!brdf::TableGrid::reachable(brdf::TableGrid::cell(i), std::cos(80.0 / 180 * 3.14159265358979))) continue;
+    if (!brdf::TableGrid::reachable(brdf::TableGrid::cell(i), std::cos(80.0 / 180 * 3.14159265358979)))
+      continue;
     const auto cosines = brdf::half_angle_cosines(brdf::TableGrid::centre(i));
     const glm::dvec3 a = fit.log_value(cosines), b = truth.log_value(cosines);
     for (int c = 0; c < 3; ++c, ++n) sum += std::abs(a[c] - b[c]);

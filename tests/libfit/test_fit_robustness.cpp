@@ -14,7 +14,8 @@ namespace {
 TEST(Fit, TheSameTableGivesTheSameBytesForAnyNumberOfThreads) {
   const brdf::HalfAngleTable table = with_noise(table_of(paint("bmw-339")), 0.05, 1e-3, 2);
   const auto bytes = [&](unsigned threads) {
-    return fit::fit_to_json(fit::fit_table(table, {.n_starts = 3, .max_cells = 10000, .threads = threads}), true, "{}");
+    return fit::fit_to_json(fit::fit_table(table, {.n_starts = 3, .max_cells = 10000, .threads = threads}),
+                            true, "{}");
   };
   const std::string one = bytes(1);
   EXPECT_EQ(one, bytes(2));
@@ -28,7 +29,9 @@ TEST(Fit, CellsWithoutMeaningAreCountedAndLeftOut) {
   const auto nan = std::numeric_limits<float>::quiet_NaN();
   std::vector<std::size_t> cells;
   for (std::size_t i = 1000000; cells.size() < 6; ++i)
-    if (red.origin[i] == brdf::CellOrigin::measured && brdf::TableGrid::reachable(brdf::TableGrid::cell(i), 0.1)) cells.push_back(i);
+    if (red.origin[i] == brdf::CellOrigin::measured &&
+        brdf::TableGrid::reachable(brdf::TableGrid::cell(i), 0.1))
+      cells.push_back(i);
   red.mean[cells[0]] = nan;
   red.mean[cells[1]] = -1;  // without a variance
   red.mean[cells[2]] = 0;
@@ -91,7 +94,8 @@ TEST(Fit, TooFewCellsAreAnErrorThatSaysHowMany) {
     FAIL() << "an empty table was fitted";
   } catch (const Error& e) {
     EXPECT_EQ(e.code(), ErrorCode::input);
-    EXPECT_NE(std::string(e.what()).find("0 usable values are too few for 18 parameters"), std::string::npos) << e.what();
+    EXPECT_NE(std::string(e.what()).find("0 usable values are too few for 18 parameters"), std::string::npos)
+        << e.what();
   }
 }
 
@@ -139,7 +143,9 @@ TEST(Fit, ProgressComesFromTheCallingThreadAndMayStopTheWork) {
   });
   EXPECT_GT(calls, 1u);
   EXPECT_EQ(last_done, last_total);
-  const auto stop = [](const std::string&, std::size_t, std::size_t) { throw Error(ErrorCode::interrupted, "stop"); };
+  const auto stop = [](const std::string&, std::size_t, std::size_t) {
+    throw Error(ErrorCode::interrupted, "stop");
+  };
   EXPECT_THROW(fit::fit_table(table, {.max_cells = 2000}, stop), Error);
 }
 
@@ -154,7 +160,8 @@ TEST(Choice, IsSpreadOverTheGridAndKeepsSparseGroupsWhole) {
   EXPECT_EQ(chosen.size(), 50000u);
   EXPECT_TRUE(std::is_sorted(chosen.begin(), chosen.end()));
   EXPECT_EQ(std::adjacent_find(chosen.begin(), chosen.end()), chosen.end()) << "no cell twice";
-  EXPECT_EQ(std::count_if(chosen.begin(), chosen.end(), sparse), std::count_if(cells.begin(), cells.end(), sparse));
+  EXPECT_EQ(std::count_if(chosen.begin(), chosen.end(), sparse),
+            std::count_if(cells.begin(), cells.end(), sparse));
   std::vector<int> per_phi(10);
   for (const auto i : chosen)
     if (!sparse(i)) ++per_phi[static_cast<std::size_t>(brdf::TableGrid::cell(i).phi_d / 18)];

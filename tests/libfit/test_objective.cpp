@@ -17,7 +17,8 @@ Observations some_observations(double relative, double floor) {
   const brdf::HalfAngleTable table = with_noise(table_of(paint("polaris-silber"), 101), relative, floor, 5);
   const fit::FitOptions options{.max_cells = 2000};
   fit::LeftOut left_out;
-  return fit::observe(table, fit::stratified_choice(fit::usable_cells(table, options, left_out), options.max_cells), options);
+  return fit::observe(
+      table, fit::stratified_choice(fit::usable_cells(table, options, left_out), options.max_cells), options);
 }
 
 /// A model away from the truth, so that residuals are large and both branches of the Huber loss occur.
@@ -47,8 +48,10 @@ void expect_gradient_matches(const Objective& objective, const std::vector<doubl
   for (std::size_t k = 0; k < x.size(); ++k) {
     // q.gradient is that of cost / 2.
     const double numeric = numeric_derivative([&](const auto& at) { return objective.cost(at) / 2; }, x, k);
-    // Rounding of the cost over the step: 1e-16 / 1e-6; kinks of the Huber loss within the step: 1e-5 of the gradient.
-    EXPECT_NEAR(q.gradient[k], numeric, 1e-5 * std::abs(numeric) + 1e-8 * q.cost) << objective.layout().names()[k];
+    // Rounding of the cost over the step: 1e-16 / 1e-6; kinks of the Huber loss within the step: 1e-5 of the
+    // gradient.
+    EXPECT_NEAR(q.gradient[k], numeric, 1e-5 * std::abs(numeric) + 1e-8 * q.cost)
+        << objective.layout().names()[k];
   }
 }
 
@@ -60,7 +63,8 @@ TEST(Objective, GradientEqualsDifferencesForStrongSignals) {
 }
 
 TEST(Objective, GradientEqualsDifferencesForWeakSignals) {
-  const Observations observations = some_observations(0.02, 0.02);  // base of the paint: 0.02 .. 0.05 per steradian
+  const Observations observations =
+      some_observations(0.02, 0.02);  // base of the paint: 0.02 .. 0.05 per steradian
   const ParameterLayout layout{3, 3};
   std::size_t linear = 0;
   for (const auto& o : observations.values) linear += !o.logarithmic;
@@ -74,20 +78,23 @@ TEST(Objective, GradientOfTheEnergyPenaltyEqualsDifferences) {
   const ParameterLayout layout{3, 3};
   std::vector<double> x = off_truth(layout);
   for (int c = 0; c < 3; ++c) x[layout.kd(c)] = 0.9;  // albedo far above 1
-  const Objective without(observations, layout, {.robust_scale = 1e9}), with(observations, layout, {.robust_scale = 1e9, .energy_weight = 10});
+  const Objective without(observations, layout, {.robust_scale = 1e9}),
+      with(observations, layout, {.robust_scale = 1e9, .energy_weight = 10});
   ASSERT_GT(with.cost(x), 1.01 * without.cost(x));
   expect_gradient_matches(with, x);
 }
 
 /// Compares every entry with a central difference of the (separately tested) gradient.
-void expect_curvature_matches(const Objective& objective, const std::vector<double>& x, fit::Curvature kind, double tolerance) {
+void expect_curvature_matches(const Objective& objective, const std::vector<double>& x, fit::Curvature kind,
+                              double tolerance) {
   const fit::Quadratic q = objective.quadratic(x, kind);
   const std::size_t n = x.size();
   for (std::size_t j = 0; j < n; ++j) {
     const double h = 1e-5 * std::max(std::abs(x[j]), 1e-2);
     std::vector<double> up = x, down = x;
     up[j] += h, down[j] -= h;
-    const auto gradient_up = objective.quadratic(up).gradient, gradient_down = objective.quadratic(down).gradient;
+    const auto gradient_up = objective.quadratic(up).gradient,
+               gradient_down = objective.quadratic(down).gradient;
     for (std::size_t i = 0; i < n; ++i) {
       const double numeric = (gradient_up[i] - gradient_down[i]) / (2 * h);
       const double scale = std::sqrt(std::abs(q.curvature[i * n + i] * q.curvature[j * n + j]));
@@ -100,7 +107,8 @@ TEST(Objective, NewtonCurvatureIsTheHessianAlsoFarFromTheTruth) {
   const Observations observations = some_observations(0.02, 0.01);
   const ParameterLayout layout{3, 3};
   // Without the Huber loss, whose second derivative jumps.
-  expect_curvature_matches(Objective(observations, layout, {.robust_scale = 1e9}), off_truth(layout), fit::Curvature::newton, 1e-5);
+  expect_curvature_matches(Objective(observations, layout, {.robust_scale = 1e9}), off_truth(layout),
+                           fit::Curvature::newton, 1e-5);
 }
 
 TEST(Objective, GaussNewtonCurvatureIsTheHessianAtASolutionWithoutResiduals) {
@@ -108,14 +116,16 @@ TEST(Objective, GaussNewtonCurvatureIsTheHessianAtASolutionWithoutResiduals) {
   const brdf::HalfAngleTable table = table_of(truth, 101);
   const fit::FitOptions options{.max_cells = 2000};
   fit::LeftOut left_out;
-  const Observations observations =
-      fit::observe(table, fit::stratified_choice(fit::usable_cells(table, options, left_out), options.max_cells), options);
+  const Observations observations = fit::observe(
+      table, fit::stratified_choice(fit::usable_cells(table, options, left_out), options.max_cells), options);
   const ParameterLayout layout{3, 3};
-  expect_curvature_matches(Objective(observations, layout, {}), layout.pack(truth), fit::Curvature::gauss_newton, 1e-4);
+  expect_curvature_matches(Objective(observations, layout, {}), layout.pack(truth),
+                           fit::Curvature::gauss_newton, 1e-4);
 }
 
 TEST(Objective, ResidualOfOneCellIsTheLogRatioInSigmas) {
-  // By hand: kd = 0.3 is f = 0.3/pi; the cell says 0.1 with a relative error of 3 %, model_sigma 4 %: sigma = 5 %.
+  // By hand: kd = 0.3 is f = 0.3/pi; the cell says 0.1 with a relative error of 3 %, model_sigma 4 %: sigma =
+  // 5 %.
   Observations o;
   o.n_channels = 1;
   o.values = {{.mean = 0.1f, .variance = 0.003f * 0.003f}};
@@ -125,7 +135,8 @@ TEST(Objective, ResidualOfOneCellIsTheLogRatioInSigmas) {
   const Objective objective(o, {1, 0}, {.robust_scale = 1e9});
   const double bias = 0.03 * 0.03 / 2;  // E[ln(1 + e)] = -var / 2
   const double expected = (std::log(0.3 / std::numbers::pi / 0.1) - bias) / 0.05;
-  EXPECT_NEAR(std::sqrt(objective.cost({0.3})), std::abs(expected), 2e-3 * std::abs(expected));  // the floor of 1e-3 in the logarithm
+  EXPECT_NEAR(std::sqrt(objective.cost({0.3})), std::abs(expected),
+              2e-3 * std::abs(expected));  // the floor of 1e-3 in the logarithm
   // Huber beyond 0.5 sigma: 2 k |r| - k^2.
   const double r = std::sqrt(objective.cost({0.3}));
   EXPECT_NEAR(Objective(o, {1, 0}, {.robust_scale = 0.5}).cost({0.3}), 2 * 0.5 * r - 0.25, 1e-12);
@@ -141,7 +152,8 @@ TEST(Objective, WeakAndNegativeCellsAreComparedLinearly) {
   EXPECT_FALSE(o.values[1].logarithmic);
   const double f = 0.3 / std::numbers::pi;
   const double expected = std::pow((f + 0.01) / 0.01, 2) + std::pow((f - 0.03) / 0.01, 2);
-  EXPECT_NEAR(Objective(o, {1, 0}, {.robust_scale = 1e9}).cost({0.3}), expected, 1e-5 * expected);  // float means
+  EXPECT_NEAR(Objective(o, {1, 0}, {.robust_scale = 1e9}).cost({0.3}), expected,
+              1e-5 * expected);  // float means
 }
 
 TEST(Objective, AModelThatUnderflowsHasAFiniteCostAndGradient) {
@@ -157,7 +169,8 @@ TEST(Objective, AModelThatUnderflowsHasAFiniteCostAndGradient) {
 }
 
 TEST(Objective, AlbedoEstimateIsTheIntegralOverTheHemisphere) {
-  // Reference: the lobe at normal incidence, integrated over wo by the midpoint rule in tan(theta_h), F = r there but for Schlick's rise.
+  // Reference: the lobe at normal incidence, integrated over wo by the midpoint rule in tan(theta_h), F = r
+  // there but for Schlick's rise.
   for (const double m : {0.05, 0.2, 0.4, 0.7, 1.0}) {
     brdf::CookTorrance model;
     model.lobes = {{.ks = {1, 1, 1}, .m = m, .r = 1.0}};  // r = 1: no rise
@@ -167,7 +180,8 @@ TEST(Objective, AlbedoEstimateIsTheIntegralOverTheHemisphere) {
     for (int i = 0; i < n; ++i) {
       const double t = (i + 0.5) / n * top, theta_o = 2 * std::atan(t);
       if (std::cos(theta_o) <= 0) continue;
-      const auto c = brdf::half_angle_cosines(brdf::Directions{{0, 0, 1}, {std::sin(theta_o), 0, std::cos(theta_o)}});
+      const auto c =
+          brdf::half_angle_cosines(brdf::Directions{{0, 0, 1}, {std::sin(theta_o), 0, std::cos(theta_o)}});
       const double d_theta_o = 2 / (1 + t * t) * top / n;
       integral += model.value(c).x * std::cos(theta_o) * 2 * std::numbers::pi * std::sin(theta_o) * d_theta_o;
     }

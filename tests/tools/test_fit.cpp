@@ -10,12 +10,15 @@
 namespace lacquer::test {
 namespace {
 
-std::string paint_file(const std::string& name) { return (source_dir() / "data-samples" / "paints" / (name + ".json")).string(); }
+std::string paint_file(const std::string& name) {
+  return (source_dir() / "data-samples" / "paints" / (name + ".json")).string();
+}
 
 TEST(FitCommand, AModelGoesInAndTheSameModelComesOutWithErrors) {
   TemporaryFolder folder;
   const std::string output = (folder / "fit.json").string();
-  const CommandResult run = run_lacquer("-q fit " + paint_file("opel-titan") + " -o " + output + " --max-cells 10000 --model-sigma 1e-4");
+  const CommandResult run = run_lacquer("-q fit " + paint_file("opel-titan") + " -o " + output +
+                                        " --max-cells 10000 --model-sigma 1e-4");
   EXPECT_EQ(run.exit_code, 0) << run.err;
   EXPECT_EQ(run.err, "");
   for (const char* text : {"kd.r", "ks3.b", "m3", "mean |ln|", "cells", "minimum 1", "time", " ± "})
@@ -30,7 +33,8 @@ TEST(FitCommand, AModelGoesInAndTheSameModelComesOutWithErrors) {
 TEST(FitCommand, JsonOnStdoutIsWhatGoesToTheFile) {
   TemporaryFolder folder;
   const std::string output = (folder / "fit.json").string();
-  const CommandResult run = run_lacquer("-q fit " + paint_file("blue") + " --json --lobes 2 --max-cells 5000 -o " + output);
+  const CommandResult run =
+      run_lacquer("-q fit " + paint_file("blue") + " --json --lobes 2 --max-cells 5000 -o " + output);
   ASSERT_EQ(run.exit_code, 0) << run.err;
   EXPECT_EQ(run.out, brdf::read_text(output));
   const auto j = nlohmann::json::parse(run.out);
