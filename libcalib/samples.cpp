@@ -44,44 +44,45 @@ double lens_transmission(const Calibration& calibration, const glm::dvec2& pixel
   return 1 - calibration.vignetting * (offset.x * offset.x + offset.y * offset.y) / (corner_x * corner_x + corner_y * corner_y);
 }
 
-/// By differences over one pixel; the principal values are those of J^T J of the normal's 3 x 2 Jacobian.
-NormalChange normal_change_per_pixel(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
-  glm::dvec3 change[2];
+PixelStep pixel_step(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
+  PixelStep step{};
   for (int axis = 0; axis < 2; ++axis) {
     const glm::dvec2 half_step(axis == 0 ? 0.5 : 0.0, axis == 0 ? 0.0 : 0.5);
     const auto before = acquire::trace(rig, pixel - half_step), after = acquire::trace(rig, pixel + half_step);
-    if (!before || !after) return {};  // on the silhouette itself; such pixels are no samples
-    change[axis] = after->normal - before->normal;
+    if (!before || !after) continue;  // on the silhouette itself; such pixels are no samples
+    step.normal[axis] = glm::vec3(after->normal - before->normal);
+    step.wo[axis] = glm::vec3(after->wo - before->wo);
   }
-  const double xx = glm::dot(change[0], change[0]), yy = glm::dot(change[1], change[1]), xy = glm::dot(change[0], change[1]);
-  return {xx + yy, std::hypot(xx - yy, 2 * xy)};
+  return step;
 }
 
-/// Spread of the half vector's slope over a pixel's footprint: variances along both axes summed, and the one minus the other.
+/// Spread of the half vector's slope over a pixel's footprint: variances along both principal axes summed, and the one minus the other.
 struct Footprint {
   double sum, difference;
 };
 
-/// Moving over the surface turns the normal by dp/R, and wi and wo the other way by dp/d each, of which the half vector takes half; the
-/// emitter (a disc: variance D^2/16 per axis) turns wi alone, the half vector by half of it in the plane of wi and wo and by
-/// 1/(2 cos theta_d) across.
+/// Slope of the half vector against the normal, moved by one pixel: to first order ds = dh - dn in the tangent plane. Pixel area and
+/// lens blur spread it by `blur2` pixels^2 per axis. The emitter (a disc: variance D^2/16 per axis) turns wi alone, the half vector by
+/// half of that in the plane of wi and wo and by 1/(2 cos theta_d) across.
 Footprint half_vector_footprint(const Calibration& calibration, const acquire::PlacedLight& light, const acquire::SurfacePoint& point,
-                                const NormalChange& normal_change, double theta_d) {
-  const double radius = calibration.geometry.sphere_radius;
-  const double blur2 = 1.0 / 12 + calibration.lens_blur_px * calibration.lens_blur_px;  // of the pixel's area and the lens, px^2 per axis
-  double turn = 1;
-  if (calibration.geometry.camera.projection == acquire::CameraModel::Projection::pinhole)
-    turn += radius / (2 * glm::length(calibration.geometry.cam_from_rig * point.position));
-  double emitter2 = 0, across = 1;
-  if (!light.distant) {
-    const glm::dvec3 to_light = light.position - point.position;
-    const double distance2 = glm::dot(to_light, to_light);
-    turn += radius / (2 * std::sqrt(distance2));
-    emitter2 = light.diameter * light.diameter / (64 * distance2);
-    across = 1 / (std::cos(theta_d) * std::cos(theta_d));
+                                const glm::dvec3& wi, const PixelStep& step, double theta_d) {
+  const double blur2 = 1.0 / 12 + calibration.lens_blur_px * calibration.lens_blur_px;
+  const glm::dvec3 to_light = light.position - point.position;
+  const double distance2 = light.distant ? 1 : glm::dot(to_light, to_light);
+  const glm::dvec3 sum = wi + point.wo;
+  const double length = glm::length(sum);
+  const glm::dvec3 h = sum / length;
+  glm::dvec3 slope[2];
+  for (int axis = 0; axis < 2; ++axis) {
+    const glm::dvec3 dn(step.normal[axis]), dp = calibration.geometry.sphere_radius * dn;
+    const glm::dvec3 dwi = light.distant ? glm::dvec3(0) : (wi * glm::dot(wi, dp) - dp) / std::sqrt(distance2);
+    const glm::dvec3 dsum = dwi + glm::dvec3(step.wo[axis]);
+    slope[axis] = (dsum - h * glm::dot(h, dsum)) / length - dn;
   }
-  const double scale = blur2 * turn * turn;
-  return {scale * normal_change.sum + emitter2 * (across + 1), scale * normal_change.difference + emitter2 * (across - 1)};
+  const double xx = glm::dot(slope[0], slope[0]), yy = glm::dot(slope[1], slope[1]), xy = glm::dot(slope[0], slope[1]);
+  const double emitter2 = light.distant ? 0 : light.diameter * light.diameter / (64 * distance2);
+  const double across = 1 / (std::cos(theta_d) * std::cos(theta_d));
+  return {blur2 * (xx + yy) + emitter2 * (across + 1), blur2 * std::hypot(xx - yy, 2 * xy) + emitter2 * (across - 1)};
 }
 
 }  // namespace
@@ -127,7 +128,7 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
         continue;
       }
       rows[static_cast<std::size_t>(y)].push_back(
-          {static_cast<std::size_t>(y) * width + x, *point, lens_transmission(calibration_, pixel), normal_change_per_pixel(rig, pixel)});
+          {static_cast<std::size_t>(y) * width + x, *point, lens_transmission(calibration_, pixel), pixel_step(rig, pixel)});
     }
   });
   for (std::size_t y = 0; y < rows.size(); ++y) {
@@ -166,7 +167,7 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
         if (cos_i >= options_.min_cosine) {
           const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
           coordinates = brdf::half_diff({local.wi, local.wo});
-          footprint = half_vector_footprint(calibration_, placed, pixel.point, pixel.normal_change, coordinates.theta_d);
+          footprint = half_vector_footprint(calibration_, placed, pixel.point, lit->wi, pixel.step, coordinates.theta_d);
           const double narrow2 = options_.narrowest_m * options_.narrowest_m;
           blurred = footprint.difference > 0.3 * narrow2 &&
                     coordinates.theta_h * coordinates.theta_h < 9 * (narrow2 + 2 * footprint.sum);
@@ -226,7 +227,7 @@ Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, std::size_t l
       const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
       const brdf::Directions directions{local.wi, local.wo};
       const double theta_d = brdf::half_diff(directions).theta_d;
-      const auto f = paint.value(directions, half_vector_footprint(calibration_, placed, pixel.point, pixel.normal_change, theta_d).sum);
+      const auto f = paint.value(directions, half_vector_footprint(calibration_, placed, pixel.point, lit->wi, pixel.step, theta_d).sum);
       if (!f) continue;
       const int x = static_cast<int>(pixel.index % static_cast<std::size_t>(camera.width));
       const int y = static_cast<int>(pixel.index / static_cast<std::size_t>(camera.width));

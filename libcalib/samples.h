@@ -39,10 +39,10 @@ struct SampleCounts {
   SampleCounts& operator+=(const SampleCounts& other);
 };
 
-/// How the normal turns from pixel to pixel, radians^2 per pixel^2.
-struct NormalChange {
-  double sum = 0;         ///< along both principal directions together
-  double difference = 0;  ///< along the one minus along the other; 0 in the sphere's middle
+/// How the surface point that a pixel sees changes from pixel to pixel, in x and in y: the images of two half-pixel steps.
+struct PixelStep {
+  glm::vec3 normal[2];  ///< change of the normal per pixel
+  glm::vec3 wo[2];      ///< change of the direction to the camera per pixel
 };
 
 /// Precomputed per-pixel geometry of a session's fixed camera and sphere; one view at a time is turned into samples.
@@ -71,7 +71,7 @@ class Sampler {
     std::size_t index;  ///< y * width + x
     acquire::SurfacePoint point;
     double transmission;  ///< of the lens there: 1 - vignetting
-    NormalChange normal_change;
+    PixelStep step;
   };
   std::size_t n_masked_ = 0;
   Calibration calibration_;
