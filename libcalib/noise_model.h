@@ -29,8 +29,9 @@ struct NoiseModel {
 int saturation_value(const NoiseModel& noise, int bits);
 
 /// Noise of a camera that nobody measured, from the bracket itself: read, shot and relative noise that explain by how much pairs of
-/// neighbouring exposures contradict each other at each signal level. Medians per level, so that moved edges, dust and scratches do
-/// not count. Black level and saturation are taken over from `known`; dark current is 0 (it cannot be told from light here).
+/// neighbouring exposures contradict each other at each signal level. The largest quarter of the differences at each level is left out,
+/// so that moved edges, dust and scratches do not count. Black level and saturation are taken over from `known`; dark current is 0 (it
+/// cannot be told from light here).
 NoiseModel estimate_noise(std::span<const std::vector<acquire::RawFrame>> brackets, const Response& response, const NoiseModel& known);
 NoiseModel estimate_noise(const BracketSamples& samples, const Response& response, const NoiseModel& known);
 

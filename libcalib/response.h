@@ -27,8 +27,8 @@ struct Response {
 Response linear_response(int bits, int n_channels, double black_level_dn);
 
 struct ResponseOptions {
-  int max_iterations = 25;
-  double tolerance = 1e-4;       ///< relative change of the curve (root mean square over the knots) that ends the iteration
+  int max_iterations = 40;
+  double tolerance = 5e-4;       ///< relative change of the curve (root mean square over the data) that ends the iteration
   int max_pixels = 25000;        ///< per channel, spread over image and brightness; more do not sharpen the curve noticeably
   double black_level_dn = 0;     ///< exposure is 0 there
   double saturation_dn = 0;      ///< raw values >= this are clipped; 0: 2^bits - 1

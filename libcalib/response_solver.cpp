@@ -12,8 +12,13 @@ namespace {
 constexpr int max_knots = 320;
 /// Residuals beyond this many sigmas count as contradictions (moved edge, dust, border of a registered photograph).
 constexpr double cauchy_sigmas = 4;
-/// Values are used from this predicted signal to noise ratio on, and up to this many sigmas below saturation.
+/// Values are used from this predicted signal to noise ratio on, and up to this many sigmas below saturation ...
 constexpr double min_signal_to_noise = 3, saturation_sigmas = 4;
+/// ... and from this many quantisation steps on: rounding shifts the mean of what fell into a level by 1 / (12 steps^2).
+constexpr double min_steps = 6;
+
+/// 0 up to `limit`, 1 from 1.5 limits on: hard limits would let values jump in and out for ever as the curve settles.
+double ramp(double x, double limit) { return std::clamp(2 * (x / limit - 1), 0.0, 1.0); }
 
 /// Solves the symmetric positive definite system a x = b in place (Cholesky, lower triangle, row-major n x n).
 void solve_cholesky(std::vector<double>& a, std::vector<double>& b) {
@@ -60,9 +65,10 @@ void make_increasing(std::vector<double>& y, double min_step) {
 
 /// Normal equations of the change of h, lower triangle.
 struct ResponseSolver::Normal {
-  explicit Normal(std::size_t n) : a(n * n), b(n) {}
+  explicit Normal(std::size_t n) : a(n * n), b(n), information(n) {}
   void add(std::size_t row, std::size_t column, double value) { a[row * b.size() + column] += value; }  ///< row >= column
   std::vector<double> a, b;
+  std::vector<double> information;  ///< diagonal of a before the prior
 };
 
 /// One value: the change of h at `place` should be `target` plus a constant of the pixel.
@@ -106,21 +112,22 @@ ResponseSolver::Place ResponseSolver::place_of_log_exposure(double g) const {
 }
 
 void ResponseSolver::fit_power_law() {
-  // gamma * s = log t + log x_i, s = log(v - black): regression within each pixel, one DN of noise (weight = signal^2), with a margin
-  // at both ends for more.
+  // gamma * s = log t + log x_i, s = log(v - black): regression within each pixel. All values well within the range count alike: a
+  // shoulder must not rule the start.
+  const double lowest = 8 * std::exp2(bits_ - 8);
   double covariance = 0, variance = 0;
   for (std::size_t i = 0; i < pixels_.n_pixels(); ++i) {
     double w = 0, ws = 0, wt = 0, wss = 0, wst = 0;
     for (std::size_t o = pixels_.first[i]; o < pixels_.first[i + 1]; ++o) {
       const Observation obs = pixels_.observations[o];
       const double signal = obs.value - black_;
-      if (signal < 8 || obs.value > 0.95 * saturation_) continue;
-      const double s = std::log(signal), weight = signal * signal, t = log_times_[obs.time];
-      w += weight;
-      ws += weight * s;
-      wt += weight * t;
-      wss += weight * s * s;
-      wst += weight * s * t;
+      if (signal < lowest || obs.value > 0.9 * saturation_) continue;
+      const double s = std::log(signal), t = log_times_[obs.time];
+      w += 1;
+      ws += s;
+      wt += t;
+      wss += s * s;
+      wst += s * t;
     }
     if (w <= 0) continue;
     covariance += wst - ws * wt / w;
@@ -130,6 +137,12 @@ void ResponseSolver::fit_power_law() {
   const double gamma = variance > 0 ? std::clamp(covariance / variance, 0.2, 5.0) : 1.0;
   const double mid = std::log(std::exp2(bits_ - 1) - black_);
   for (std::size_t k = 0; k < knots_.size(); ++k) log_exposure_[k] = mid + gamma * (knots_[k] - mid);
+}
+
+double ResponseSolver::variance_at(double z, double slope, const NoiseModel* noise) const {
+  if (!noise) return slope * slope * std::exp2(2 * (bits_ - 8));
+  const double read = noise->read_noise_e / noise->gain_e_per_dn, relative = noise->relative_noise * z;
+  return read * read + z / noise->gain_e_per_dn + relative * relative + slope * slope / 12;
 }
 
 void ResponseSolver::collect_rows(std::size_t pixel, const NoiseModel* noise, const std::vector<double>& exposure,
@@ -142,25 +155,20 @@ void ResponseSolver::collect_rows(std::size_t pixel, const NoiseModel* noise, co
     sum_t += times_[pixels_.observations[o].time];
   }
   if (!(sum_e > 0)) return;
-  const double start_noise = std::exp2(bits_ - 8);
   const double limit = exposure[static_cast<std::size_t>(saturation_)], log_x0 = std::log(sum_e / sum_t);
   double weighted = 0, precision = 0;
   std::size_t last_time = 0, first_time = times_.size();
   for (std::size_t o = begin; o < end; ++o) {
     const Observation obs = pixels_.observations[o];
     const double log_z = log_x0 + log_times_[obs.time], z = std::exp(log_z), slope = place_of_log_exposure(log_z).slope;
-    double variance = start_noise * start_noise * slope * slope;
-    if (noise) {
-      const double read = noise->read_noise_e / noise->gain_e_per_dn, relative = noise->relative_noise * z;
-      variance = read * read + z / noise->gain_e_per_dn + relative * relative + slope * slope / 12;
-    }
-    if (z * z < min_signal_to_noise * min_signal_to_noise * variance) continue;
-    const double room = limit - z;
-    if (room <= 0 || room * room < saturation_sigmas * saturation_sigmas * variance) continue;
+    const double variance = variance_at(z, slope, noise);
+    const double sigma = std::sqrt(variance);
+    const double use = ramp(z / sigma, min_signal_to_noise) * ramp(z / slope, min_steps) * ramp((limit - z) / sigma, saturation_sigmas);
+    if (use <= 0) continue;
     const double t = times_[obs.time];
-    weighted += t * exposure[obs.value] / variance;
-    precision += t * t / variance;
-    rows.push_back({{obs.time, 0.0, 0.0}, z * z / variance, exposure[obs.value]});
+    weighted += use * t * exposure[obs.value] / variance;
+    precision += use * t * t / variance;
+    rows.push_back({{obs.time, 0.0, 0.0}, use * z * z / variance, exposure[obs.value]});
     last_time = std::max<std::size_t>(last_time, obs.time);
     first_time = std::min<std::size_t>(first_time, obs.time);
   }
@@ -214,45 +222,56 @@ void ResponseSolver::add_rows(const std::vector<Row>& rows, Normal& normal) cons
   }
 }
 
-/// Of h after the change: integral of h''^2 over log(v - black), and far weaker than any data |h| < 10 (the data say nothing about
+/// Of h after the change: integral of h''^2 over s = log(v - black), and far weaker than any data |h| < 10 (the data say nothing about
 /// its mean, which is the gauge, and with few levels hardly anything about its slope).
-void ResponseSolver::add_prior(double slope_change, Normal& normal) const {
+/// Structure of h finer than the noise of a value cannot be seen through that noise; left free, it would grow with every round. The
+/// penalty outweighs the data (their information per s, I) at wavelengths below 2 pi L: strength I L^4, L = resolution * sigma_s.
+void ResponseSolver::add_prior(const NoiseModel* noise, double slope_change, Normal& normal) const {
+  constexpr double resolution = 1.5;
+  const std::size_t n = knots_.size();
   const auto h = [&](std::size_t k) { return log_exposure_[k] - knots_[k]; };
-  for (std::size_t k = 1; k + 1 < knots_.size(); ++k) {
+  double largest = 0;
+  for (std::size_t k = 0; k < n; ++k) {
+    normal.information[k] = normal.a[k * n + k];
+    largest = std::max(largest, normal.information[k]);
+  }
+  for (std::size_t k = 1; k + 1 < n; ++k) {
     const double below = knots_[k] - knots_[k - 1], above = knots_[k + 1] - knots_[k], span = (below + above) / 2;
+    const double z = std::exp(log_exposure_[k]), slope = place_of_log_exposure(log_exposure_[k]).slope;
+    const double length = std::min(resolution * std::sqrt(variance_at(z, slope, noise)) / slope / std::exp(knots_[k]), 0.5);
     const double d[3] = {1 / (below * span), -1 / (below * span) - 1 / (above * span), 1 / (above * span)};
-    const double strength = span / (slope_change * slope_change);
+    const double strength = span / (slope_change * slope_change) + normal.information[k] * std::pow(length, 4);
     const double second_derivative = d[0] * h(k - 1) + d[1] * h(k) + d[2] * h(k + 1);
     for (std::size_t p = 0; p < 3; ++p) {
       normal.b[k - 1 + p] -= strength * d[p] * second_derivative;
       for (std::size_t q = 0; q <= p; ++q) normal.add(k - 1 + p, k - 1 + q, strength * d[p] * d[q]);
     }
   }
-  double largest = 0;
-  for (std::size_t k = 0; k < knots_.size(); ++k) largest = std::max(largest, normal.a[k * knots_.size() + k]);
-  const double ridge = 0.01 / static_cast<double>(knots_.size()) + 1e-12 * largest;  // the latter against rounding
-  for (std::size_t k = 0; k < knots_.size(); ++k) {
+  const double ridge = 0.01 / static_cast<double>(n) + 1e-12 * largest;  // the latter against rounding
+  for (std::size_t k = 0; k < n; ++k) {
     normal.b[k] -= ridge * h(k);
     normal.add(k, k, ridge);
   }
 }
 
 double ResponseSolver::update(Normal& normal) {
+  const std::size_t n = knots_.size();
   solve_cholesky(normal.a, normal.b);
   const std::vector<double> before = log_exposure_;
   // At most a factor e in one round: far from the solution the linearisation is not to be trusted further.
-  for (std::size_t k = 0; k < knots_.size(); ++k) log_exposure_[k] += std::clamp(normal.b[k], -1.0, 1.0);
+  for (std::size_t k = 0; k < n; ++k) log_exposure_[k] += std::clamp(normal.b[k], -1.0, 1.0);
   make_increasing(log_exposure_, 1e-7);
   // Gauge: mid-range.
   const double mid = std::log(std::exp2(bits_ - 1) - black_);
   const Place place = place_of_log_value(mid);
   const double at_mid = (1 - place.upper) * log_exposure_[place.knot] + place.upper * log_exposure_[place.knot + 1];
-  double sum = 0;
-  for (std::size_t k = 0; k < knots_.size(); ++k) {
+  double squares = 0, total = 0;
+  for (std::size_t k = 0; k < n; ++k) {
     log_exposure_[k] += mid - at_mid;
-    sum += (log_exposure_[k] - before[k]) * (log_exposure_[k] - before[k]);
+    squares += normal.information[k] * (log_exposure_[k] - before[k]) * (log_exposure_[k] - before[k]);
+    total += normal.information[k];
   }
-  return std::sqrt(sum / static_cast<double>(knots_.size()));
+  return total > 0 ? std::sqrt(squares / total) : 0;
 }
 
 double ResponseSolver::refine(const NoiseModel* noise, double slope_change) {
@@ -269,7 +288,7 @@ double ResponseSolver::refine(const NoiseModel* noise, double slope_change) {
     }
   }
   residual_rms_ = weights > 0 ? std::sqrt(squares / weights) : 0;
-  add_prior(slope_change, normal);
+  add_prior(noise, slope_change, normal);
   return update(normal);
 }
 

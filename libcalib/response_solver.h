@@ -18,8 +18,8 @@ namespace lacquer::calib {
 ///   uncorrelated with the mean, so this is unbiased; grouping by the noisy value is not (it shifts the curve by 1 / SNR^2).
 ///
 /// f(v) = (v - black) * exp(h(v)), h linear between knots in log(v - black): a linear sensor (h = 0) and a power law are exact.
-/// A weak penalty on the second derivative of h in log(v - black) fills levels that no pixel has and settles the ambiguity described
-/// at ResponseOptions::slope_change.
+/// A penalty on the second derivative of h in log(v - black) fills levels that no pixel has, settles the ambiguity described at
+/// ResponseOptions::slope_change, and keeps the curve from structure finer than the noise, which data cannot show.
 class ResponseSolver {
  public:
   ResponseSolver(int bits, double black_level, int saturation, const SampledPixels& pixels, const std::vector<double>& times);
@@ -27,7 +27,7 @@ class ResponseSolver {
   /// Best power law: the start.
   void fit_power_law();
   /// One round. `noise` null: not known yet, 1/256 of the range RMS everywhere. `slope_change`: as in ResponseOptions.
-  /// Returns the RMS change of log f over the knots.
+  /// Returns the RMS change of log f, each level as its data weigh.
   double refine(const NoiseModel* noise, double slope_change);
 
   std::vector<double> curve() const;  ///< every value, strictly increasing, in the gauge of ResponseCurve
@@ -45,7 +45,8 @@ class ResponseSolver {
   Place place_of_log_exposure(double g) const;
   void collect_rows(std::size_t pixel, const NoiseModel* noise, const std::vector<double>& exposure, std::vector<Row>& rows) const;
   void add_rows(const std::vector<Row>& rows, Normal& normal) const;
-  void add_prior(double slope_change, Normal& normal) const;
+  double variance_at(double z, double slope, const NoiseModel* noise) const;  ///< of exposure, DN^2
+  void add_prior(const NoiseModel* noise, double slope_change, Normal& normal) const;
   double update(Normal& normal);
 
   int bits_;
