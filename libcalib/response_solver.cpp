@@ -258,16 +258,18 @@ double ResponseSolver::update(Normal& normal) {
   const std::size_t n = knots_.size();
   solve_cholesky(normal.a, normal.b);
   const std::vector<double> before = log_exposure_;
-  // At most a factor e in one round: far from the solution the linearisation is not to be trusted further.
-  for (std::size_t k = 0; k < n; ++k) log_exposure_[k] += std::clamp(normal.b[k], -1.0, 1.0);
-  make_increasing(log_exposure_, 1e-7);
-  // Gauge: mid-range.
+  // Gauge: mid-range stays. The data leave a constant open, so the solution may hold any.
   const double mid = std::log(std::exp2(bits_ - 1) - black_);
   const Place place = place_of_log_value(mid);
-  const double at_mid = (1 - place.upper) * log_exposure_[place.knot] + place.upper * log_exposure_[place.knot + 1];
+  const auto at_mid = [&](const std::vector<double>& y) { return (1 - place.upper) * y[place.knot] + place.upper * y[place.knot + 1]; };
+  const double constant = at_mid(normal.b);
+  // At most a factor e in one round: far from the solution the linearisation is not to be trusted further.
+  for (std::size_t k = 0; k < n; ++k) log_exposure_[k] += std::clamp(normal.b[k] - constant, -1.0, 1.0);
+  make_increasing(log_exposure_, 1e-7);
+  const double shift = mid - at_mid(log_exposure_);
   double squares = 0, total = 0;
   for (std::size_t k = 0; k < n; ++k) {
-    log_exposure_[k] += mid - at_mid;
+    log_exposure_[k] += shift;
     squares += normal.information[k] * (log_exposure_[k] - before[k]) * (log_exposure_[k] - before[k]);
     total += normal.information[k];
   }
