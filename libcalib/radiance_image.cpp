@@ -25,6 +25,8 @@ constexpr int file_version = 1;
 constexpr int max_side = 32768;
 constexpr std::int64_t max_values = std::int64_t{1} << 28;  ///< 3 GiB of radiance, variance and flags
 
+/// Measured on a merged sphere, 1360 x 1024 rgb with noise (two thirds of it black), write / read / size: none 0.08 s / 0.19 s / 50 MB,
+/// RLE 0.31 / 0.33 / 38, ZIPS 1.43 / 0.54 / 31, ZIP 1.66 / 0.55 / 30, PIZ 1.43 / 0.65 / 32. Noise does not pack; merging takes 0.12 s.
 constexpr Imf::Compression compression = Imf::NO_COMPRESSION;
 
 [[noreturn]] void fail(const std::filesystem::path& file, const std::string& what) {
