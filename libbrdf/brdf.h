@@ -17,18 +17,18 @@ class Brdf {
 
   /// f_r in 1/sr, without the cosine, R G B. 0 where a direction is at or below the horizon (z <= 0); nullopt where the BRDF
   /// says nothing (a hole of a measured table). Safe to call from many threads.
-  /// `footprint2` (HalfAngleCosines): f_r as an instrument with this spread of half vectors sees it; measured BRDFs, which cannot be
+  /// `footprint`: f_r as an instrument with this spread of half vectors sees it; measured BRDFs, which cannot be
   /// sharpened or blurred, ignore it.
-  std::optional<glm::dvec3> value(const Directions& d, double footprint2 = 0) const {
+  std::optional<glm::dvec3> value(const Directions& d, const Footprint<double>& footprint = {}) const {
     if (!(d.wi.z > 0 && d.wo.z > 0)) return glm::dvec3(0.0);
-    return do_value(d, footprint2);
+    return do_value(d, footprint);
   }
 
   /// One line for people: kind and file, e.g. "MERL table vch.binary".
   virtual std::string description() const = 0;
 
  private:
-  virtual std::optional<glm::dvec3> do_value(const Directions& d, double footprint2) const = 0;
+  virtual std::optional<glm::dvec3> do_value(const Directions& d, const Footprint<double>& footprint) const = 0;
 };
 
 /// The analytic model behind the common interface.
@@ -39,9 +39,9 @@ class CookTorranceBrdf final : public Brdf {
   std::string description() const override { return "Cook-Torrance, " + std::to_string(model_.lobes.size()) + " lobes"; }
 
  private:
-  std::optional<glm::dvec3> do_value(const Directions& d, double footprint2) const override {
+  std::optional<glm::dvec3> do_value(const Directions& d, const Footprint<double>& footprint) const override {
     auto cosines = half_angle_cosines(d);
-    cosines.footprint2 = footprint2;
+    cosines.footprint = footprint;
     return model_.value(cosines);
   }
   CookTorrance model_;

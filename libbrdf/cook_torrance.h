@@ -31,8 +31,8 @@ T schlick_weight(T i_dot_h) {
 /// One Beckmann Cook-Torrance lobe as in Günther et al. 2005, Eq. 1, for ks = 1:
 ///   f = F(r) D(m) G / (pi (n.wi)(n.wo)),  D = exp(-tan^2(theta_h)/m^2) / (m^2 cos^4(theta_h))
 /// in 1/sr, without the cosine; note D without 1/pi and 1/4 and ks/pi in front.
-/// A footprint (HalfAngleCosines::footprint2) widens the lobe: the convolution of exp(-s^2/m^2)/m^2 over slopes s with a Gaussian of
-/// variance v per axis is the same form with m^2 + 2v, energy unchanged; F and G vary too slowly to matter.
+/// A footprint V widens the lobe: exp(-s^2/m^2)/m^2 over slopes s, convolved with a Gaussian of covariance V, is
+/// exp(-s^T M^-1 s)/sqrt(det M) with M = m^2 + 2 V, energy unchanged; F and G vary too slowly to matter.
 /// `P` (parameters): float, double or an automatic-differentiation scalar; the cosines stay float or double.
 template <typename P>
 struct CookTorranceLobe {
@@ -42,11 +42,12 @@ struct CookTorranceLobe {
   /// Lobe value in 1/sr. Underflows to 0 far from the peak of a narrow lobe: use log_value where its logarithm is wanted.
   template <typename T>
   P operator()(const HalfAngleCosines<T>& c) const {
-    using std::exp;
+    using std::exp, std::sqrt;
     const T inverse_nh2 = T(1) / (c.n_dot_h * c.n_dot_h);
-    const P inverse_m2 = T(1) / (m * m + c.footprint2);
+    const P across = m * m + T(2) * c.footprint.across;
+    const P inverse_det = T(1) / determinant(c.footprint);
     // One factor after the other: cos^4 would underflow at grazing in float and make 0 / 0.
-    const P distribution = exp(-c.tan2_theta_h * inverse_m2) * inverse_m2 * inverse_nh2 * inverse_nh2;
+    const P distribution = exp(-c.tan2_theta_h * (across * inverse_det)) * sqrt(inverse_det) * inverse_nh2 * inverse_nh2;
     return fresnel(c) * distribution * (geometry_over_cosines(c) * std::numbers::inv_pi_v<T>);
   }
 
@@ -54,12 +55,19 @@ struct CookTorranceLobe {
   template <typename T>
   P log_value(const HalfAngleCosines<T>& c) const {
     using std::log;
-    const P m2 = m * m + c.footprint2;
-    return log(fresnel(c)) - c.tan2_theta_h / m2 - log(m2) +
+    const P across = m * m + T(2) * c.footprint.across;
+    const P det = determinant(c.footprint);
+    return log(fresnel(c)) - c.tan2_theta_h * across / det - log(det) / T(2) +
            (log(geometry_over_cosines(c)) - T(4) * log(c.n_dot_h) - log(std::numbers::pi_v<T>));
   }
 
  private:
+  /// det M of a footprint.
+  template <typename T>
+  P determinant(const Footprint<T>& v) const {
+    const P m2 = m * m;
+    return (m2 + T(2) * v.along) * (m2 + T(2) * v.across) + T(-4) * v.mixed * v.mixed;
+  }
   template <typename T>
   P fresnel(const HalfAngleCosines<T>& c) const {
     const T weight = schlick_weight(c.i_dot_h);

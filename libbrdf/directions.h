@@ -18,6 +18,15 @@ struct HalfDiff {
   double phi_d;    ///< azimuth of wi about the half vector, (-pi, pi]; 0: in the plane of normal and half vector, away from the normal
 };
 
+/// Spread of the half vector over what one measurement sees (pixel, lens blur, emitter): covariance of its slope against the normal in the
+/// axes along (theta_h grows) and across. Matters where a lobe is not much wider.
+template <typename T>
+struct Footprint {
+  T along = 0;   ///< variance, >= 0
+  T across = 0;  ///< variance, >= 0
+  T mixed = 0;   ///< covariance, mixed^2 <= along * across
+};
+
 /// The cosines that an isotropic, reciprocal microfacet model needs. `T`: float or double.
 /// tan^2(theta_h) is kept apart because 1 - cos^2 loses all digits at the peak of a clear coat.
 template <typename T>
@@ -27,8 +36,7 @@ struct HalfAngleCosines {
   T n_dot_h;       ///< cos(theta_h)
   T i_dot_h;       ///< cos(theta_d)
   T tan2_theta_h;  ///< tan^2(theta_h)
-  T footprint2 = 0;  ///< spread of the half vector over a measurement's footprint (pixel, lens blur, emitter): variance of its slope
-                     ///< against the normal, both axes summed. A Beckmann lobe seen through it has m^2 + footprint2 in place of m^2.
+  Footprint<T> footprint = {};  ///< of the measurement; all 0 for a point
 };
 
 /// Half/difference coordinates of two unit directions. Accurate to a few ulp at h = n, wi = wo and at grazing.

@@ -48,7 +48,7 @@ class RglBrdf final : public Brdf {
   std::string description() const override { return data_.description; }
 
  private:
-  std::optional<glm::dvec3> do_value(const Directions& d, double /*footprint2*/) const override {
+  std::optional<glm::dvec3> do_value(const Directions& d, const Footprint<double>& /*footprint*/) const override {
     const glm::dvec3 m = d.wi + d.wo;
     const double theta_i = polar_angle(d.wi);
     // phi_m - phi_i without the two angles.

@@ -60,7 +60,9 @@ TableChannel::TableChannel()
       theta_h(TableGrid::n_cells),
       theta_d(TableGrid::n_cells),
       phi_d(TableGrid::n_cells),
-      footprint2(TableGrid::n_cells),
+      footprint_along(TableGrid::n_cells),
+      footprint_across(TableGrid::n_cells),
+      footprint_mixed(TableGrid::n_cells),
       origin(TableGrid::n_cells, CellOrigin::empty) {}
 
 HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine) {
@@ -89,7 +91,7 @@ HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine) {
 TableAccumulator::TableAccumulator(std::size_t n_channels) : sums_(n_channels, std::vector<Sums>(TableGrid::n_cells)) {}
 
 void TableAccumulator::add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight,
-                           double footprint2) {
+                           const Footprint<double>& footprint) {
   assert(weight > 0 && std::isfinite(value) && variance >= 0);
   const TableGrid::Cell cell = TableGrid::cell(c);
   const HalfDiff centre = TableGrid::centre(cell);
@@ -100,7 +102,9 @@ void TableAccumulator::add(std::size_t channel, const HalfDiff& c, double value,
   s.theta_h += static_cast<float>(weight * (c.theta_h - centre.theta_h));
   s.theta_d += static_cast<float>(weight * (c.theta_d - centre.theta_d));
   s.phi_d += static_cast<float>(weight * (fold_phi_d(c.phi_d) - centre.phi_d));
-  s.footprint2 += static_cast<float>(weight * footprint2);
+  s.footprint.along += static_cast<float>(weight * footprint.along);
+  s.footprint.across += static_cast<float>(weight * footprint.across);
+  s.footprint.mixed += static_cast<float>(weight * footprint.mixed);
   ++s.count;
   ++n_samples_;
 }
@@ -119,7 +123,9 @@ HalfAngleTable TableAccumulator::table(bool symmetrise) const {
       t.theta_h[i] = static_cast<float>(centre.theta_h + s.theta_h / s.weight);
       t.theta_d[i] = static_cast<float>(centre.theta_d + s.theta_d / s.weight);
       t.phi_d[i] = stored_phi_d(centre.phi_d + s.phi_d / s.weight);
-      t.footprint2[i] = static_cast<float>(s.footprint2 / s.weight);
+      t.footprint_along[i] = static_cast<float>(s.footprint.along / s.weight);
+      t.footprint_across[i] = static_cast<float>(s.footprint.across / s.weight);
+      t.footprint_mixed[i] = static_cast<float>(s.footprint.mixed / s.weight);
       t.origin[i] = CellOrigin::measured;
     }
     if (!symmetrise) continue;
@@ -134,7 +140,9 @@ HalfAngleTable TableAccumulator::table(bool symmetrise) const {
       t.count[i] = t.count[j];
       t.theta_h[i] = t.theta_h[j];
       t.theta_d[i] = t.theta_d[j];
-      t.footprint2[i] = t.footprint2[j];
+      t.footprint_along[i] = t.footprint_along[j];
+      t.footprint_across[i] = t.footprint_across[j];
+      t.footprint_mixed[i] = -t.footprint_mixed[j];  // the mirror turns the axis across round
       t.phi_d[i] = stored_phi_d(pi - static_cast<double>(t.phi_d[j]));
       t.origin[i] = CellOrigin::symmetric;
     }
@@ -149,7 +157,7 @@ TableBrdf::TableBrdf(HalfAngleTable table, std::string description, bool interpo
     throw Error(ErrorCode::input, description_ + ": expected a table of 1 or 3 channels, got " + std::to_string(n));
 }
 
-std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d, double /*footprint2*/) const {
+std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d, const Footprint<double>& /*footprint*/) const {
   const HalfDiff c = half_diff(d);
   const std::size_t nearest = TableGrid::index(c);
   glm::dvec3 result(0.0);

@@ -58,7 +58,7 @@ struct TableChannel {
   std::vector<float> variance;      ///< of the mean, (1/sr)^2; 0 means exact (synthetic)
   std::vector<std::uint32_t> count; ///< samples in the cell
   std::vector<float> theta_h, theta_d, phi_d;  ///< weighted mean coordinates of the samples, radians, phi_d in [0, pi)
-  std::vector<float> footprint2;    ///< weighted mean of HalfAngleCosines::footprint2; 0: point samples
+  std::vector<float> footprint_along, footprint_across, footprint_mixed;  ///< weighted mean footprint of the samples; 0: points
   std::vector<CellOrigin> origin;
 
   TableChannel();
@@ -84,8 +84,8 @@ class TableAccumulator {
 
   /// One measurement of f_r. `weight`: proportional to the irradiance at the pixel (cosine included), so that the cell's value is
   /// the ratio of summed radiance to summed irradiance, which is unbiased whatever the noise. `variance` of `value`, (1/sr)^2.
-  /// `footprint2` as in HalfAngleCosines.
-  void add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight, double footprint2 = 0);
+  void add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight,
+           const Footprint<double>& footprint = {});
 
   /// Mirror symmetry f(phi_d) = f(pi - phi_d): with `symmetrise`, empty cells take the mirror cell's value, flagged `symmetric`.
   HalfAngleTable table(bool symmetrise) const;
@@ -96,7 +96,7 @@ class TableAccumulator {
   struct Sums {
     double weight = 0, weighted_value = 0, weighted_variance = 0;  // of w, w*f, w^2*var
     float theta_h = 0, theta_d = 0, phi_d = 0;                      // of w * (coordinate - centre)
-    float footprint2 = 0;                                           // of w * footprint2
+    Footprint<float> footprint;                                     // of w * footprint
     std::uint32_t count = 0;
   };
   std::vector<std::vector<Sums>> sums_;
@@ -113,7 +113,7 @@ class TableBrdf final : public Brdf {
   std::string description() const override { return description_; }
 
  private:
-  std::optional<glm::dvec3> do_value(const Directions& d, double /*footprint2*/) const override;
+  std::optional<glm::dvec3> do_value(const Directions& d, const Footprint<double>& /*footprint*/) const override;
   HalfAngleTable table_;
   std::string description_;
   bool interpolate_;

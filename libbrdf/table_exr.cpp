@@ -60,13 +60,15 @@ struct FloatField {
 };
 constexpr float float_max = std::numeric_limits<float>::max();
 constexpr float quarter_turn = float_pi / 2;
-constexpr std::array<FloatField, 6> float_fields{{
+constexpr std::array<FloatField, 8> float_fields{{
     {"mean", &TableChannel::mean, -float_max, float_max, "a finite number"},
     {"variance", &TableChannel::variance, 0, float_max, "a finite number >= 0"},
     {"theta_h", &TableChannel::theta_h, 0, quarter_turn, "an angle in [0, pi/2]"},
     {"theta_d", &TableChannel::theta_d, 0, quarter_turn, "an angle in [0, pi/2]"},
     {"phi_d", &TableChannel::phi_d, 0, float_pi, "an angle in [0, pi]"},
-    {"footprint2", &TableChannel::footprint2, 0, float_max, "a finite number >= 0"},
+    {"footprint_along", &TableChannel::footprint_along, 0, float_max, "a finite number >= 0"},
+    {"footprint_across", &TableChannel::footprint_across, 0, float_max, "a finite number >= 0"},
+    {"footprint_mixed", &TableChannel::footprint_mixed, -float_max, float_max, "a finite number"},
 }};
 
 constexpr int max_channels = 3 * (static_cast<int>(float_fields.size()) + 2);  // count and origin are the two

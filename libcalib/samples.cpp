@@ -56,33 +56,51 @@ PixelStep pixel_step(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
   return step;
 }
 
-/// Spread of the half vector's slope over a pixel's footprint: variances along both principal axes summed, and the one minus the other.
-struct Footprint {
-  double sum, difference;
-};
-
 /// Slope of the half vector against the normal, moved by one pixel: to first order ds = dh - dn in the tangent plane. Pixel area and
 /// lens blur spread it by `blur2` pixels^2 per axis. The emitter (a disc: variance D^2/16 per axis) turns wi alone, the half vector by
-/// half of that in the plane of wi and wo and by 1/(2 cos theta_d) across.
-Footprint half_vector_footprint(const Calibration& calibration, const acquire::PlacedLight& light, const acquire::SurfacePoint& point,
-                                const glm::dvec3& wi, const PixelStep& step, double theta_d) {
+/// half of that in the plane of wi and wo (at phi_d) and by 1/(2 cos theta_d) across.
+brdf::Footprint<double> half_vector_footprint(const Calibration& calibration, const acquire::PlacedLight& light,
+                                              const acquire::SurfacePoint& point, const glm::dvec3& wi, const PixelStep& step,
+                                              const brdf::HalfDiff& coordinates) {
   const double blur2 = 1.0 / 12 + calibration.lens_blur_px * calibration.lens_blur_px;
   const glm::dvec3 to_light = light.position - point.position;
   const double distance2 = light.distant ? 1 : glm::dot(to_light, to_light);
   const glm::dvec3 sum = wi + point.wo;
   const double length = glm::length(sum);
-  const glm::dvec3 h = sum / length;
-  glm::dvec3 slope[2];
+  const glm::dvec3 h = sum / length, &n = point.normal;
+
+  // Tangent axes: along, where theta_h grows, and across. At the very peak any will do.
+  glm::dvec3 along = h - n * glm::dot(h, n);
+  if (glm::dot(along, along) < 1e-24) along = glm::cross(n, std::abs(n.x) < 0.5 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0));
+  along = glm::normalize(along);
+  const glm::dvec3 across = glm::cross(n, along);
+
+  brdf::Footprint<double> v;
   for (int axis = 0; axis < 2; ++axis) {
     const glm::dvec3 dn(step.normal[axis]), dp = calibration.geometry.sphere_radius * dn;
     const glm::dvec3 dwi = light.distant ? glm::dvec3(0) : (wi * glm::dot(wi, dp) - dp) / std::sqrt(distance2);
     const glm::dvec3 dsum = dwi + glm::dvec3(step.wo[axis]);
-    slope[axis] = (dsum - h * glm::dot(h, dsum)) / length - dn;
+    const glm::dvec3 slope = (dsum - h * glm::dot(h, dsum)) / length - dn;
+    const double a = glm::dot(slope, along), b = glm::dot(slope, across);
+    v.along += blur2 * a * a;
+    v.across += blur2 * b * b;
+    v.mixed += blur2 * a * b;
   }
-  const double xx = glm::dot(slope[0], slope[0]), yy = glm::dot(slope[1], slope[1]), xy = glm::dot(slope[0], slope[1]);
-  const double emitter2 = light.distant ? 0 : light.diameter * light.diameter / (64 * distance2);
-  const double across = 1 / (std::cos(theta_d) * std::cos(theta_d));
-  return {blur2 * (xx + yy) + emitter2 * (across + 1), blur2 * std::hypot(xx - yy, 2 * xy) + emitter2 * (across - 1)};
+  if (!light.distant) {
+    const double in_plane = light.diameter * light.diameter / (64 * distance2);
+    const double off_plane = in_plane / std::pow(std::cos(coordinates.theta_d), 2);
+    const double c = std::cos(coordinates.phi_d), s = std::sin(coordinates.phi_d);
+    v.along += in_plane * c * c + off_plane * s * s;
+    v.across += in_plane * s * s + off_plane * c * c;
+    v.mixed += (in_plane - off_plane) * s * c;
+  }
+  return v;
+}
+
+/// Near a narrow peak, seen with a footprint too large to be deconvolved.
+bool unresolved(const brdf::Footprint<double>& v, double theta_h, double narrowest_m) {
+  const double larger = (v.along + v.across) / 2 + std::hypot((v.along - v.across) / 2, v.mixed), narrow2 = narrowest_m * narrowest_m;
+  return larger > narrow2 && theta_h * theta_h < 9 * (narrow2 + 2 * larger);
 }
 
 }  // namespace
@@ -162,15 +180,13 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
         const auto lit = acquire::illuminate(placed, pixel.point);
         const double cos_i = lit ? glm::dot(pixel.point.normal, lit->wi) : 0.0;
         brdf::HalfDiff coordinates{};
-        Footprint footprint{};
+        brdf::Footprint<double> footprint;
         bool blurred = false;
         if (cos_i >= options_.min_cosine) {
           const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
           coordinates = brdf::half_diff({local.wi, local.wo});
-          footprint = half_vector_footprint(calibration_, placed, pixel.point, lit->wi, pixel.step, coordinates.theta_d);
-          const double narrow2 = options_.narrowest_m * options_.narrowest_m;
-          blurred = footprint.difference > 0.3 * narrow2 &&
-                    coordinates.theta_h * coordinates.theta_h < 9 * (narrow2 + 2 * footprint.sum);
+          footprint = half_vector_footprint(calibration_, placed, pixel.point, lit->wi, pixel.step, coordinates);
+          blurred = unresolved(footprint, coordinates.theta_h, options_.narrowest_m);
         }
         for (std::size_t k = 0; k < per_pixel; ++k) {
           const std::size_t slot = i * per_pixel + k, value = pixel.index * per_pixel + k;
@@ -191,7 +207,7 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
           // f_r = radiance / irradiance
           const double scale = 1.0 / (calibration_.dn_per_radiance[channel] * pixel.transmission * lit->irradiance[channel]);
           const double weight = lit->irradiance[channel] / (placed.intensity[channel] * reference);
-          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, footprint.sum, channel};
+          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, footprint, channel};
         }
       }
     });
@@ -226,8 +242,8 @@ Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, std::size_t l
       if (!lit || glm::dot(pixel.point.normal, lit->wi) < options_.min_cosine) continue;
       const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
       const brdf::Directions directions{local.wi, local.wo};
-      const double theta_d = brdf::half_diff(directions).theta_d;
-      const auto f = paint.value(directions, half_vector_footprint(calibration_, placed, pixel.point, lit->wi, pixel.step, theta_d).sum);
+      const auto f = paint.value(directions, half_vector_footprint(calibration_, placed, pixel.point, lit->wi, pixel.step,
+                                                                   brdf::half_diff(directions)));
       if (!f) continue;
       const int x = static_cast<int>(pixel.index % static_cast<std::size_t>(camera.width));
       const int y = static_cast<int>(pixel.index / static_cast<std::size_t>(camera.width));
@@ -254,7 +270,7 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
     const RadianceImage image = read_radiance(session.radiance_path(view));
     counts += sampler.sample_view(image, static_cast<std::size_t>(view.light), view.turntable_angle, [&](std::span<const Sample> samples) {
       for (const Sample& s : samples)
-        accumulator.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint2);
+        accumulator.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint);
     });
     if (progress) progress("tabulate", i + 1, session.views.size());
   }

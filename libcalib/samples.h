@@ -17,9 +17,8 @@ namespace lacquer::calib {
 struct SampleOptions {
   double min_cosine = 0.08715574274765817;  ///< cos 85 deg: neither light nor camera closer to the horizon than this
   double edge_px = 2.0;                      ///< pixels whose centre is closer than this to the silhouette are left out (blur, mixed pixels)
-  /// Narrowest lobe that must come out right, RMS slope. Towards the silhouette a pixel sees a strip of normals, not a disc of them, and
-  /// footprint2 no longer describes what it does to a narrow peak: near the peak (theta_h < 3 sqrt(narrowest_m^2 + 2 footprint2)) samples
-  /// whose footprint is longer than wide by more than 0.3 narrowest_m^2 are left out.
+  /// Narrowest lobe that must come out right, RMS slope. Towards the silhouette the footprint of a pixel grows without bound and changes
+  /// within itself; near the peak (theta_h < 3 sqrt(narrowest_m^2 + 2 v), v its larger variance) samples with v > narrowest_m^2 are left out.
   double narrowest_m = 0.013;
   void validate() const;
 };
@@ -30,7 +29,7 @@ struct Sample {
   double value;     ///< f_r, 1/sr
   double variance;  ///< of value
   double weight;    ///< irradiance relative to the light's irradiance on axis, cosine included
-  double footprint2;  ///< spread of the half vector over pixel, lens blur and emitter, as brdf::HalfAngleCosines::footprint2
+  brdf::Footprint<double> footprint;  ///< of pixel, lens blur and emitter
   int channel;      ///< 0 R or Y, 1 G, 2 B
 };
 

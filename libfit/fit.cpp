@@ -34,7 +34,8 @@ void check_table(const brdf::HalfAngleTable& table) {
                 fmt::format("table: expected 1 or 3 channels, got {}", table.channels.size()));
   for (const auto& t : table.channels)
     for (const std::size_t size : {t.mean.size(), t.variance.size(), t.theta_h.size(), t.theta_d.size(),
-                                   t.phi_d.size(), t.footprint2.size(), t.origin.size()})
+                                   t.phi_d.size(), t.footprint_along.size(), t.footprint_across.size(),
+                                   t.footprint_mixed.size(), t.origin.size()})
       if (size != brdf::TableGrid::n_cells)
         throw Error(ErrorCode::input, fmt::format("table: expected {} cells per channel, got {}",
                                                   brdf::TableGrid::n_cells, size));

@@ -24,7 +24,18 @@ brdf::HalfDiff coordinates(const brdf::TableChannel& t, std::size_t i) {
 
 bool same_place(const brdf::TableChannel& a, const brdf::TableChannel& b, std::size_t i) {
   return a.theta_h[i] == b.theta_h[i] && a.theta_d[i] == b.theta_d[i] && a.phi_d[i] == b.phi_d[i] &&
-         a.footprint2[i] == b.footprint2[i];
+         a.footprint_along[i] == b.footprint_along[i] && a.footprint_across[i] == b.footprint_across[i] &&
+         a.footprint_mixed[i] == b.footprint_mixed[i];
+}
+
+brdf::Footprint<double> footprint(const brdf::TableChannel& t, std::size_t i) {
+  return {t.footprint_along[i], t.footprint_across[i], t.footprint_mixed[i]};
+}
+
+/// A covariance: finite and, but for rounding, positive semidefinite.
+bool possible(const brdf::Footprint<double>& v) {
+  return v.along >= 0 && v.across >= 0 && std::isfinite(v.along) && std::isfinite(v.across) &&
+         v.mixed * v.mixed <= v.along * v.across * (1 + 1e-5);
 }
 
 bool in_hemisphere(const brdf::HalfDiff& c) {
@@ -44,7 +55,7 @@ bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, LeftO
   }
   const brdf::HalfDiff c = coordinates(t, i);
   if (!std::isfinite(t.mean[i]) || !std::isfinite(t.variance[i]) || t.variance[i] < 0 || !in_hemisphere(c) ||
-      !std::isfinite(t.footprint2[i]) || t.footprint2[i] < 0) {
+      !possible(footprint(t, i))) {
     ++left_out.not_finite;
     return false;
   }
@@ -172,7 +183,7 @@ Observations observe(const brdf::HalfAngleTable& table, const std::vector<std::u
       const auto next = static_cast<std::uint32_t>(result.values.size());
       if (!previous || !same_place(t, *previous, i)) {
         result.points.push_back({brdf::half_angle_cosines(coordinates(t, i)), next, next});
-        result.points.back().cosines.footprint2 = t.footprint2[i];
+        result.points.back().cosines.footprint = footprint(t, i);
       }
       previous = &t;
       result.values.push_back(

@@ -43,6 +43,10 @@ inline SecondOrder operator/(double a, const SecondOrder& b) {
   const double inverse = 1 / b.value;
   return b.chain(a * inverse, -a * inverse * inverse, 2 * a * inverse * inverse * inverse);
 }
+inline SecondOrder sqrt(const SecondOrder& a) {
+  const double root = std::sqrt(a.value);
+  return a.chain(root, 0.5 / root, -0.25 / (root * a.value));
+}
 inline SecondOrder exp(const SecondOrder& a) {
   const double e = std::exp(a.value);
   return a.chain(e, e, e);

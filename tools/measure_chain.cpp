@@ -41,7 +41,7 @@ class ViewProcessor {
     merge_seconds += watch.lap();
     counts_ += sampler_.sample_view(image, static_cast<std::size_t>(view.light), view.turntable_angle, [&](auto samples) {
       for (const calib::Sample& s : samples)
-        accumulator_.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint2);
+        accumulator_.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint);
     });
     tabulate_seconds += watch.lap();
   }

@@ -25,7 +25,7 @@ class FormulaBrdf final : public brdf::Brdf {
   std::string description() const override { return "formula"; }
 
  private:
-  std::optional<glm::dvec3> do_value(const brdf::Directions& d, double) const override { return formula_(d); }
+  std::optional<glm::dvec3> do_value(const brdf::Directions& d, const brdf::Footprint<double>&) const override { return formula_(d); }
   Formula formula_;
 };
 

@@ -25,7 +25,8 @@ struct ExrWriter {
 
   /// An empty one-channel table.
   ExrWriter() {
-    for (const char* name : {"Y.mean", "Y.variance", "Y.theta_h", "Y.theta_d", "Y.phi_d", "Y.footprint2"}) channels[name].type = 2;
+    for (const char* name : {"Y.mean", "Y.variance", "Y.theta_h", "Y.theta_d", "Y.phi_d", "Y.footprint_along", "Y.footprint_across",
+                             "Y.footprint_mixed"}) channels[name].type = 2;
     for (const char* name : {"Y.count", "Y.origin"}) channels[name].type = 0;
   }
 

@@ -307,31 +307,34 @@ TEST(CookTorrance, ANarrowLobeReflectsFourKsRAtNormalIncidence) {
 }
 
 TEST(CookTorrance, AFootprintIsTheConvolutionOfTheLobeWithAGaussianOfSlopes) {
-  const double m = 0.1, v = 0.004;  // v: variance of the slope per axis
+  const double m = 0.1;
+  const Footprint<double> v{0.004, 0.0015, 0.0012};  // longer than wide and turned
   // exp(-s^2/m^2)/m^2 of the library, from a retroreflecting lobe at slope s (see above; G = 1 for these
   // slopes).
-  const auto slope_density = [](double width, double footprint2, double s) {
+  const auto slope_density = [&](double s) {
     auto c = half_angle_cosines(HalfDiff{std::atan(s), 0, 0});
-    c.footprint2 = footprint2;
+    c.footprint = v;
     const double cos2 = c.n_dot_h * c.n_dot_h;
-    const double via_value = CookTorranceLobe<double>{width, 0.5}(c)*pi * cos2 * cos2 * cos2 / 0.5;
+    const double via_value = CookTorranceLobe<double>{m, 0.5}(c)*pi * cos2 * cos2 * cos2 / 0.5;
     const double via_log =
-        std::exp(CookTorranceLobe<double>{width, 0.5}.log_value(c)) * pi * cos2 * cos2 * cos2 / 0.5;
+        std::exp(CookTorranceLobe<double>{m, 0.5}.log_value(c)) * pi * cos2 * cos2 * cos2 / 0.5;
     EXPECT_NEAR(via_log / via_value, 1, 1e-12);
     return via_value;
   };
-  constexpr int n = 160;
-  const double reach = 7 * std::sqrt(v), step = 2 * reach / n;
+  constexpr int n = 320;
+  const double det = v.along * v.across - v.mixed * v.mixed;
+  const double reach = 7 * std::sqrt(v.along), step = 2 * reach / n;
   for (const double s : {0.0, 0.05, 0.15, 0.3}) {
     double blurred = 0;  // trapezium rule, exact to rounding for a Gaussian cut at 7 sigma
     for (int i = 0; i <= n; ++i) {
       for (int j = 0; j <= n; ++j) {
         const double x = -reach + i * step, y = -reach + j * step;
-        const double density = std::exp(-(x * x + y * y) / (2 * v)) / (2 * pi * v);
+        const double exponent = (v.across * x * x - 2 * v.mixed * x * y + v.along * y * y) / det;
+        const double density = std::exp(-exponent / 2) / (2 * pi * std::sqrt(det));
         blurred += density * std::exp(-((s - x) * (s - x) + y * y) / (m * m)) / (m * m) * step * step;
       }
     }
-    EXPECT_NEAR(slope_density(m, 2 * v, s) / blurred, 1, 1e-8) << s;
+    EXPECT_NEAR(slope_density(s) / blurred, 1, 1e-8) << s;
   }
 }
 

@@ -24,7 +24,9 @@ HalfAngleTable random_table(std::size_t n_channels) {
       const HalfDiff centre = TableGrid::centre(i);
       channel.mean[i] = (uniform(rng) - 0.1f) * std::exp(20 * uniform(rng));
       channel.variance[i] = uniform(rng);
-      channel.footprint2[i] = uniform(rng);
+      channel.footprint_along[i] = uniform(rng);
+      channel.footprint_across[i] = uniform(rng);
+      channel.footprint_mixed[i] = uniform(rng) - 0.5f;
       channel.count[i] = static_cast<std::uint32_t>(rng());
       channel.theta_h[i] = static_cast<float>(centre.theta_h);
       channel.theta_d[i] = static_cast<float>(centre.theta_d);
@@ -49,7 +51,8 @@ void expect_same(const HalfAngleTable& a, const HalfAngleTable& b) {
     EXPECT_TRUE(x.variance == y.variance);
     EXPECT_TRUE(x.count == y.count);
     EXPECT_TRUE(x.theta_h == y.theta_h && x.theta_d == y.theta_d && x.phi_d == y.phi_d);
-    EXPECT_TRUE(x.footprint2 == y.footprint2);
+    EXPECT_TRUE(x.footprint_along == y.footprint_along && x.footprint_across == y.footprint_across &&
+                x.footprint_mixed == y.footprint_mixed);
     EXPECT_TRUE(x.origin == y.origin);
   }
 }
@@ -92,7 +95,7 @@ TEST(TableExr, ReadsAFileWrittenByHandWithColumnPhiDPlus180ThetaDAndRowThetaH) {
   exr.set("Y.theta_h", i, 0.1f);
   exr.set("Y.theta_d", i, 0.2f);
   exr.set("Y.phi_d", i, 0.3f);
-  exr.set("Y.footprint2", i, 0.7f);
+  exr.set("Y.footprint_along", i, 0.7f);
   exr.set("Y.count", i, 9u);
   exr.set("Y.origin", i, 2u);
   test::write_file(folder / "t.exr", exr.content());
@@ -107,7 +110,7 @@ TEST(TableExr, ReadsAFileWrittenByHandWithColumnPhiDPlus180ThetaDAndRowThetaH) {
   EXPECT_EQ(y.theta_h[j], 0.1f);
   EXPECT_EQ(y.theta_d[j], 0.2f);
   EXPECT_EQ(y.phi_d[j], 0.3f);
-  EXPECT_EQ(y.footprint2[j], 0.7f);
+  EXPECT_EQ(y.footprint_along[j], 0.7f);
   EXPECT_EQ(y.count[j], 9u);
   EXPECT_EQ(y.origin[j], CellOrigin::symmetric);
   EXPECT_EQ(std::count(y.origin.begin(), y.origin.end(), CellOrigin::empty), static_cast<long>(TableGrid::n_cells) - 1);
@@ -150,7 +153,7 @@ TEST(TableExr, NamesChannelAndCellOfABadValue) {
   table.expect_error("Y.mean", 180, -infinity, {"Y.mean", "finite", "inf"});
   table.expect_error("Y.variance", 180, -1e-9f, {"Y.variance", ">= 0"});
   table.expect_error("Y.variance", 180, infinity, {"Y.variance"});
-  table.expect_error("Y.footprint2", 180, -0.1f, {"Y.footprint2", ">= 0"});
+  table.expect_error("Y.footprint_along", 180, -0.1f, {"Y.footprint_along", ">= 0"});
   table.expect_error("Y.theta_h", 180, 1.6f, {"Y.theta_h", "[0, pi/2]", "1.6"});
   table.expect_error("Y.theta_d", 180, -0.1f, {"Y.theta_d"});
   table.expect_error("Y.phi_d", 180, 3.2f, {"Y.phi_d", "[0, pi]"});

@@ -28,7 +28,7 @@ class FunctionBrdf final : public Brdf {
   std::string description() const override { return "function of a test"; }
 
  private:
-  std::optional<glm::dvec3> do_value(const Directions& d, double) const override { return f_(d); }
+  std::optional<glm::dvec3> do_value(const Directions& d, const Footprint<double>&) const override { return f_(d); }
   Function f_;
 };
 

@@ -86,8 +86,8 @@ TEST(TableGrid, ReachableMeansBothDirectionsAreAboveTheHorizon) {
 TEST(TableAccumulator, MeanVarianceAndCoordinatesByHand) {
   TableAccumulator accumulator(1);
   const TableGrid::Cell cell{30, 40, 50};  // theta_h 10.00..10.68 deg, theta_d 40..41 deg, phi_d 50..51 deg
-  accumulator.add(0, {10.2 * degree, 40.2 * degree, 50.1 * degree}, 2.0, 0.01, 1.0, 1e-4);
-  accumulator.add(0, {10.4 * degree, 40.6 * degree, 50.5 * degree - pi}, 6.0, 0.04, 3.0, 5e-4);  // folded
+  accumulator.add(0, {10.2 * degree, 40.2 * degree, 50.1 * degree}, 2.0, 0.01, 1.0, {1e-4, 6e-4, 2e-4});
+  accumulator.add(0, {10.4 * degree, 40.6 * degree, 50.5 * degree - pi}, 6.0, 0.04, 3.0, {5e-4, 2e-4, -4e-4});  // folded
   const auto table = accumulator.table(false);
   const auto& t = table.channels[0];
   const std::size_t i = TableGrid::index(cell);
@@ -98,7 +98,9 @@ TEST(TableAccumulator, MeanVarianceAndCoordinatesByHand) {
   EXPECT_NEAR(t.theta_h[i] / degree, 10.35, 1e-5);           // (10.2 + 3 * 10.4) / 4; stored as float
   EXPECT_NEAR(t.theta_d[i] / degree, 40.5, 1e-5);
   EXPECT_NEAR(t.phi_d[i] / degree, 50.4, 1e-5);
-  EXPECT_FLOAT_EQ(t.footprint2[i], 4e-4f);  // (1 * 1e-4 + 3 * 5e-4) / 4
+  EXPECT_FLOAT_EQ(t.footprint_along[i], 4e-4f);     // (1 * 1e-4 + 3 * 5e-4) / 4
+  EXPECT_FLOAT_EQ(t.footprint_across[i], 3e-4f);    // (1 * 6e-4 + 3 * 2e-4) / 4
+  EXPECT_FLOAT_EQ(t.footprint_mixed[i], -2.5e-4f);  // (1 * 2e-4 - 3 * 4e-4) / 4
   EXPECT_EQ(accumulator.n_samples(), 2u);
   EXPECT_EQ(std::count(t.origin.begin(), t.origin.end(), CellOrigin::empty),
             static_cast<std::ptrdiff_t>(TableGrid::n_cells) - 1);
@@ -116,7 +118,7 @@ TEST(TableAccumulator, SymmetryFillsEmptyCellsOnlyAndSaysSo) {
   TableAccumulator accumulator(1);
   const HalfDiff alone{0.3, 0.4, 50.3 * degree}, mirrored{0.3, 0.4, 129.7 * degree};
   const HalfDiff left{0.3, 0.5, 20.5 * degree}, right{0.3, 0.5, 159.5 * degree};
-  accumulator.add(0, alone, 2.0, 0.25, 1.0, 1e-4);
+  accumulator.add(0, alone, 2.0, 0.25, 1.0, {1e-4, 2e-4, 5e-5});
   accumulator.add(0, left, 3.0, 0.25, 1.0);
   accumulator.add(0, right, 4.0, 0.25, 1.0);
   const auto table = accumulator.table(true);
@@ -125,7 +127,9 @@ TEST(TableAccumulator, SymmetryFillsEmptyCellsOnlyAndSaysSo) {
   EXPECT_EQ(t.origin[i], CellOrigin::symmetric);
   EXPECT_EQ(t.mean[i], 2.0f);
   EXPECT_EQ(t.variance[i], 0.25f);
-  EXPECT_EQ(t.footprint2[i], 1e-4f);
+  EXPECT_EQ(t.footprint_along[i], 1e-4f);
+  EXPECT_EQ(t.footprint_across[i], 2e-4f);
+  EXPECT_EQ(t.footprint_mixed[i], -5e-5f);  // seen in the mirror
   EXPECT_NEAR(t.phi_d[i] / degree, 129.7, 1e-5);
   EXPECT_EQ(t.origin[TableGrid::index(alone)], CellOrigin::measured);
   EXPECT_EQ(t.mean[TableGrid::index(left)], 3.0f);  // measured cells are not touched

@@ -145,7 +145,7 @@ TEST(Samples, PredictionIsTheInverseOfSampling) {
   image.radiance = prediction.radiance;
   std::size_t n = 0;
   for (const Sample& s : all_samples(sampler, image)) {
-    const auto f = paint.value(brdf::directions(s.coordinates));
+    const auto f = paint.value(brdf::directions(s.coordinates), s.footprint);
     EXPECT_NEAR(s.value / (*f)[s.channel], 1.0, 1e-6);  // radiance is stored as float
     ++n;
   }
