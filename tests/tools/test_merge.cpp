@@ -1,8 +1,9 @@
 #include <cmath>
 
 #include "libacquire/frame.h"
-#include "libcalib/frame_list.h"
 #include "libbrdf/error.h"
+#include "libcalib/calibration.h"
+#include "libcalib/frame_list.h"
 #include "test_support.h"
 
 namespace lacquer {
@@ -119,6 +120,44 @@ TEST(MergeCommand, EqualTimesCannotGiveAResponseAndSaySo) {
   const auto result = run_lacquer(merge_arguments(folder, "--bits 12"));
   EXPECT_EQ(result.exit_code, 1);
   EXPECT_NE(result.err.find("expected frames with different exposure times"), std::string::npos) << result.err;
+}
+
+/// The quick simulated rig with three views and a response to be estimated.
+void write_short_rig(const std::filesystem::path& file) {
+  std::ifstream in(test::source_dir() / "rigs/simulated-quick.toml");
+  std::string text(std::istreambuf_iterator<char>(in), {});
+  const auto replace = [&](const std::string& from, const std::string& to) {
+    const std::size_t at = text.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    text.replace(at, from.size(), to);
+  };
+  replace("step = 3", "step = 90");
+  replace("../data-samples", (test::source_dir() / "data-samples").string());
+  replace("[sensor]\n", "[sensor]\nresponse = \"estimate\"\n");
+  test::write_file(file, text);
+}
+
+// The simulated sensor is linear: an estimated curve may differ from v - 64 by its statistical error, 0.3 % of 4 brackets.
+TEST(MergeCommand, MergesASessionAndStoresTheResponseItEstimated) {
+  const test::TemporaryFolder folder;
+  write_short_rig(folder / "rig.toml");
+  const std::string session = (folder / "session").string();
+  const auto capture = run_lacquer("-q capture " + (folder / "rig.toml").string() + " -o " + session);
+  ASSERT_EQ(capture.exit_code, 0) << capture.err;
+  const auto merged = run_lacquer("-q merge " + session);
+  ASSERT_EQ(merged.exit_code, 0) << merged.err;
+  EXPECT_NE(merged.out.find("3 views merged, response: estimated"), std::string::npos) << merged.out;
+  const auto calibration = calib::read_calibration(folder / "session/calibration.json");
+  ASSERT_EQ(calibration.response.curves.size(), 3u);
+  for (const auto& curve : calibration.response.curves)
+    for (std::size_t v = 200; v < 4000; v += 100) EXPECT_NEAR(curve.exposure[v] / (static_cast<double>(v) - 64), 1, 0.01) << v;
+  EXPECT_NEAR(calibration.noise.gain_e_per_dn, 4.2, 0.3);
+  std::size_t n = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(folder / "session/radiance")) {
+    EXPECT_EQ(calib::read_radiance(entry.path()).layout, PixelLayout::bayer_rggb);
+    ++n;
+  }
+  EXPECT_EQ(n, 3u);
 }
 
 TEST(MergeCommand, WrongUsageExitsWithTwoAndFailuresWithOne) {
