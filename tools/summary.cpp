@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <numeric>
 
 #include "libbrdf/error.h"
 
@@ -25,9 +27,29 @@ std::string padded(const std::string& text, std::size_t width) {
   return text + std::string(columns < width ? width - columns : 0, ' ');
 }
 
-/// Parameters of a model in the order and with the names of FitResult::parameters.
-std::vector<std::pair<std::string, double>> named_parameters(brdf::CookTorrance model) {
-  std::stable_sort(model.lobes.begin(), model.lobes.end(), [](const auto& a, const auto& b) { return a.m > b.m; });
+/// `truth` with its lobes in the order of the fitted ones they resemble most: least sum of |ln(m ratio)|, weighted by the true lobe's ks,
+/// so that a lobe that hardly exists does not take another's place.
+brdf::CookTorrance matched(const brdf::CookTorrance& truth, const brdf::CookTorrance& fitted) {
+  std::vector<std::size_t> order(truth.lobes.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  if (order.size() != fitted.lobes.size()) return truth;
+  std::vector<std::size_t> best = order;
+  double least = std::numeric_limits<double>::infinity();
+  do {
+    double sum = 0;
+    for (std::size_t i = 0; i < order.size(); ++i) {
+      const auto& lobe = truth.lobes[order[i]];
+      sum += (lobe.ks.x + lobe.ks.y + lobe.ks.z) * std::abs(std::log(lobe.m / fitted.lobes[i].m));
+    }
+    if (sum < least) least = sum, best = order;
+  } while (std::next_permutation(order.begin(), order.end()));
+  brdf::CookTorrance result = truth;
+  for (std::size_t i = 0; i < best.size(); ++i) result.lobes[i] = truth.lobes[best[i]];
+  return result;
+}
+
+/// Parameters of a model with the names of FitResult::parameters.
+std::vector<std::pair<std::string, double>> named_parameters(const brdf::CookTorrance& model) {
   std::vector<std::pair<std::string, double>> named;
   for (int c = 0; c < 3; ++c) named.emplace_back(fmt::format("kd.{}", "rgb"[c]), model.kd[c]);
   for (std::size_t i = 0; i < model.lobes.size(); ++i) {
@@ -66,7 +88,7 @@ std::string coverage_text(const calib::Tabulation& tabulation) {
 
 std::string parameter_table(const fit::FitResult& fit, const brdf::CookTorrance* truth) {
   std::string text = padded("parameter", 12) + padded("fitted", 26) + (truth ? "truth" : "") + "\n";
-  const auto true_values = truth ? named_parameters(*truth) : std::vector<std::pair<std::string, double>>{};
+  const auto true_values = truth ? named_parameters(matched(*truth, fit.model)) : std::vector<std::pair<std::string, double>>{};
   for (const auto& p : fit.parameters) {
     std::string line = padded(p.name, 12) + padded(with_error(p.value, p.determined ? p.sigma : 0), 26);
     const auto found = std::find_if(true_values.begin(), true_values.end(), [&](const auto& t) { return t.first == p.name; });

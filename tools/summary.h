@@ -15,7 +15,8 @@ double cosine_of_degrees(const std::string& option, double degrees);
 /// Samples used and left out, cells covered.
 std::string coverage_text(const calib::Tabulation& tabulation);
 
-/// Fitted parameters with standard errors, digits matched to the error; with `truth` a column beside them (lobes by falling m).
+/// Fitted parameters with standard errors, digits matched to the error; with `truth` a column beside them (each lobe beside
+/// the true one that it resembles most).
 std::string parameter_table(const fit::FitResult& fit, const brdf::CookTorrance* truth);
 
 /// The metrics of `difference`, one per line, with units.
