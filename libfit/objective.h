@@ -39,6 +39,7 @@ class Objective {
 
   const ParameterLayout& layout() const { return layout_; }
   const Observations& observations() const { return *observations_; }
+  const ObjectiveOptions& options() const { return options_; }
 
   double cost(const std::vector<double>& x) const;
   Quadratic quadratic(const std::vector<double>& x, Curvature kind = Curvature::gauss_newton) const;

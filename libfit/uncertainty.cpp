@@ -33,6 +33,49 @@ std::vector<int> live_parameters(const ParameterLayout& layout, const std::vecto
   return indices;
 }
 
+/// Groups of points that may share an error.
+enum class Grouping { theta_h_row, theta_d_column };
+
+std::size_t group_of(const Point& p, Grouping grouping) {
+  const brdf::TableGrid::Cell cell =
+      brdf::TableGrid::cell(brdf::HalfDiff{std::acos(std::min(1.0, p.cosines.n_dot_h)),
+                                           std::acos(std::min(1.0, p.cosines.i_dot_h)), 0});
+  return static_cast<std::size_t>(grouping == Grouping::theta_h_row ? cell.theta_h : cell.theta_d);
+}
+
+/// Sum over the groups of g g^T, row-major, with g the group's part of the gradient less the mean part: the
+/// covariance of the gradient if errors within a group may depend on each other and those of two groups do not.
+std::vector<double> grouped_scatter(const Objective& objective, const std::vector<double>& x, Grouping grouping) {
+  const Observations& all = objective.observations();
+  std::vector<Observations> groups(brdf::TableGrid::n_theta_h);
+  for (const Point& p : all.points) {
+    Observations& group = groups[group_of(p, grouping)];
+    group.n_channels = all.n_channels;
+    const auto first = static_cast<std::uint32_t>(group.values.size());
+    group.values.insert(group.values.end(), all.values.begin() + p.first, all.values.begin() + p.end);
+    group.points.push_back({p.cosines, first, static_cast<std::uint32_t>(group.values.size())});
+  }
+  std::erase_if(groups, [](const Observations& g) { return g.points.empty(); });
+  const std::size_t n = x.size();
+  std::vector<double> scatter(n * n);
+  if (groups.size() < 10) return scatter;  // too few to tell
+
+  ObjectiveOptions options = objective.options();
+  options.energy_weight = 0;
+  std::vector<std::vector<double>> gradients;
+  std::vector<double> mean(n);
+  const auto n_groups = static_cast<double>(groups.size());
+  for (const Observations& group : groups) {
+    gradients.push_back(Objective(group, objective.layout(), options).quadratic(x).gradient);
+    for (std::size_t i = 0; i < n; ++i) mean[i] += gradients.back()[i] / n_groups;
+  }
+  for (const auto& g : gradients)
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < n; ++j)
+        scatter[i * n + j] += (g[i] - mean[i]) * (g[j] - mean[j]) * n_groups / (n_groups - 1);
+  return scatter;
+}
+
 struct Inverse {
   std::vector<double> covariance;  // of the live parameters
   std::vector<bool> determined;
@@ -66,6 +109,29 @@ Inverse invert(const Quadratic& q, int n, const std::vector<int>& live) {
     }
   }
   return result;
+}
+
+}  // namespace
+
+namespace {
+
+/// Factor on each live parameter's sigma, see uncertainty.h.
+std::vector<double> sigma_factors(const Objective& objective, const std::vector<double>& x, double reduced_chi2,
+                                  const std::vector<int>& live, const std::vector<double>& covariance) {
+  const std::size_t size = live.size(), n = x.size();
+  std::vector<double> factors(size, std::sqrt(std::max(1.0, reduced_chi2)));
+  for (const Grouping grouping : {Grouping::theta_h_row, Grouping::theta_d_column}) {
+    const std::vector<double> scatter = grouped_scatter(objective, x, grouping);
+    for (std::size_t i = 0; i < size; ++i) {
+      const double* row = &covariance[i * size];
+      double sandwich = 0;
+      for (std::size_t j = 0; j < size; ++j)
+        for (std::size_t k = 0; k < size; ++k)
+          sandwich += row[j] * scatter[static_cast<std::size_t>(live[j]) * n + static_cast<std::size_t>(live[k])] * row[k];
+      if (row[i] > 0) factors[i] = std::max(factors[i], std::sqrt(std::max(0.0, sandwich) / row[i]));
+    }
+  }
+  return factors;
 }
 
 }  // namespace
@@ -136,10 +202,10 @@ void add_uncertainty(const Objective& objective, const std::vector<double>& x, d
   }
   const std::vector<int> live = live_parameters(layout, x, q);
   const Inverse inverse = invert(q, n, live);
-  const double inflation = std::max(1.0, result.reduced_chi2);
+  const std::vector<double> factors = sigma_factors(objective, x, result.reduced_chi2, live, inverse.covariance);
   std::vector<int> sound;  // positions in `live`
   for (std::size_t i = 0; i < live.size(); ++i) {
-    const double sigma = std::sqrt(inverse.covariance[i * live.size() + i] * inflation);  // of ln(m) for m
+    const double sigma = std::sqrt(inverse.covariance[i * live.size() + i]) * factors[i];  // of ln(m) for m
     if (!inverse.determined[i] || (is_shape[live[i]] && sigma > 1)) continue;
     result.parameters[live[i]].determined = true;
     result.parameters[live[i]].sigma = sigma * to_public[live[i]];
@@ -155,8 +221,8 @@ void add_uncertainty(const Objective& objective, const std::vector<double>& x, d
   for (const int i : sound)
     for (const int j : sound)
       result.covariance[live[i] * n + live[j]] =
-          inverse.covariance[i * live.size() + static_cast<std::size_t>(j)] * inflation * to_public[live[i]] *
-          to_public[live[j]];
+          inverse.covariance[i * live.size() + static_cast<std::size_t>(j)] * factors[i] * factors[j] *
+          to_public[live[i]] * to_public[live[j]];
 }
 
 }  // namespace lacquer::fit

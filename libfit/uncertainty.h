@@ -9,8 +9,10 @@ namespace lacquer::fit {
 
 /// Fills parameters, covariance and reduced_chi2 of `result` at `x`, the solution.
 ///
-/// Covariance: inverse of the Gauss-Newton matrix, times reduced chi^2 where that exceeds 1 (the scatter
-/// about the model is then larger than the stated errors). Not determined, with sigma 0: a parameter that
+/// Covariance: inverse of the Gauss-Newton matrix, each parameter's sigma raised where the residuals show that
+/// it is too small: by reduced chi^2 > 1 (scatter larger than the stated errors), or by residuals that agree with
+/// each other within a theta_h row or a theta_d column (errors of model, discretisation, single lights), which the
+/// cluster-robust sandwich of Liang and Zeger 1986 measures. Not determined, with sigma 0: a parameter that
 /// takes part in a direction along which the objective does not change, m known worse than its own size, r
 /// known worse than its range. ks, m, r of a lobe that is off (all its ks at 0) are left out; other
 /// parameters at a bound keep the sigma of the curvature, so that a physical limit does not make what is
