@@ -23,11 +23,11 @@ install_packages() {
     fail "apt-get could not install: $(echo $missing)"
 }
 
-# build PRESET
+# build PRESET [TARGET]
 build() {
   say "build: preset $1 -> build/$1 (the first time takes minutes)"
   cmake --preset "$1" -DCMAKE_CXX_COMPILER_LAUNCHER="$(command -v ccache || true)" >"build-$1.log.tmp" 2>&1 ||
     { cat "build-$1.log.tmp"; rm -f "build-$1.log.tmp"; fail "cmake could not configure preset $1"; }
   rm -f "build-$1.log.tmp"
-  cmake --build --preset "$1" --parallel "$(nproc)" || fail "the build of preset $1 failed"
+  cmake --build --preset "$1" --parallel "$(nproc)" --target "${2:-all}" || fail "the build of preset $1 failed"
 }
