@@ -70,7 +70,7 @@ std::string slice_png(const SliceValue& value, double low, double high, const st
   text(image, fmt::format("{:.3g}", high), {left + size + 28, top + 10});
   text(image, fmt::format("{:.3g}", (low + high) / 2), {left + size + 28, top + size / 2});
   text(image, fmt::format("{:.3g}", low), {left + size + 28, top + size});
-  text(image, unit, {left + size + 2, top + size + 18}, 0.36);
+  text(image, unit, {left + size + 4, top + size + 36}, 0.36);
   return png_bytes(image);
 }
 

@@ -23,7 +23,7 @@ body { font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 0 auto; p
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; border-bottom: 1px solid var(--line); }
 pre { overflow-x: auto; padding: .6rem; border: 1px solid var(--line); font-size: .85rem; }
 .warning { border-left: 4px solid var(--warn); padding: .3rem .8rem; margin: .5rem 0; }
-.row { display: flex; flex-wrap: wrap; gap: 1rem; } figure { margin: 0; max-width: 100%; }
+.row { display: flex; flex-wrap: wrap; gap: 1rem; } .row figure { flex: 1 1 18rem; max-width: 22.5rem; } figure { margin: 0; max-width: 100%; }
 figcaption { font-size: .85rem; } img { max-width: 100%; height: auto; }
 @media print { body { max-width: none; } }
 </style>)";
