@@ -23,7 +23,7 @@ struct SensorDescription {
   double full_well_e = 0;                   ///< electrons; 0: the ADC clips first
   double dark_current_e_per_s = 0;
   glm::dvec3 sensitivity{1.0};              ///< electrons per second and W m^-2 sr^-1, per channel R G B (mono: the first)
-  double vignetting = 0;                    ///< fraction lost at the image corner, falls with the 4th power law 1 - v * (rho/rho_corner)^2
+  double vignetting = 0;                    ///< fraction lost at the image corner: transmission 1 - v (rho/rho_corner)^2
   double lens_blur_px = 0;                  ///< sigma of the lens blur as measured, pixels
   enum class Response { linear, gamma, estimate } response = Response::linear;
   double gamma = 1;                         ///< response gamma: DN = max * (linear fraction)^(1/gamma); simulated rig only

@@ -29,7 +29,8 @@ TEST(Measure, RunsTheWholeChainAndWritesEverySessionFile) {
   EXPECT_NE(result.out.find("report: "), std::string::npos);
   EXPECT_NE(result.out.find("mean |ln ratio|"), std::string::npos) << "the comparison with the truth is missing";
 
-  // What this tiny session determines well must be the truth's within 5 standard errors (29 parameters: 4.5 sigma is rare enough).
+  // What this tiny session determines well must be the truth's within 5 standard errors: noise, and some room for
+  // the blur of 31-pixel spheres, see test_seeds.cpp.
   const auto fit = read_json(session / "fit.json");
   const double true_kd[3] = {0.055, 0.063, 0.071};
   for (const auto& p : fit.at("parameters")) {
@@ -52,7 +53,7 @@ TEST(Measure, IsTheSameAsItsStagesOneByOneOnTheCommittedSession) {
     const auto result = run_lacquer(stage + quoted(staged));
     ASSERT_EQ(result.exit_code, 0) << stage << result.err;
   }
-  // The committed frames come from another build of the simulator: its noise is the same, so everything after it must be.
+  // The committed frames were photographed once with the same seed, so everything after them must be the same.
   const brdf::HalfAngleTable a = brdf::read_table(measured / "table.exr"), b = brdf::read_table(staged / "table.exr");
   for (std::size_t c = 0; c < 3; ++c) {
     EXPECT_EQ(a.channels[c].mean, b.channels[c].mean);
@@ -97,8 +98,8 @@ TEST(Measure, PaintForAReplayRigIsAUsageError) {
   EXPECT_NE(result.err.find("--paint"), std::string::npos);
 }
 
-// Real photographs: fit of the DiLiGenT ball re-renders them. The bounds are what was measured (7.7 % median, 19 % worst) with room for
-// other rounding, well below the 34 % that a Lambertian sphere of the best colour reaches at the highlights.
+// Real photographs: fit of the DiLiGenT ball re-renders them. The bounds are what was measured (7.6 % median, 19 % worst) with room for
+// other rounding.
 TEST(Measure, FitOfTheDiligentBallReRendersItsPhotographs) {
   LACQUER_NEEDS_SHARED_DATA("spheres/diligent-ball");
   test::TemporaryFolder folder;
