@@ -2,12 +2,13 @@
 say() { printf '\n== %s\n' "$*"; }
 fail() { printf '\n%s: %s\n' "$(basename "$0")" "$*" >&2; exit 1; }
 
+# install_packages [LIST]
 install_packages() {
   command -v dpkg-query >/dev/null || fail "this script installs Debian packages and found no dpkg; install the packages of cmake/debian-packages.txt by hand"
   local missing
   missing=$(while read -r package; do
     [ "$(dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || echo "$package"
-  done < cmake/debian-packages.txt)
+  done < "${1:-cmake/debian-packages.txt}")
   if [ -z "$missing" ]; then
     say "packages: all installed"
     return
