@@ -94,6 +94,7 @@ void write_atomically(const fs::path& file, const std::function<void(const fs::p
     sync_to_disk(temporary, O_RDONLY);
     fs::rename(temporary, file, status);
     if (status) fail_file(file, fmt::format("cannot be written: {}", status.message()));
+    sync_to_disk(folder, O_RDONLY | O_DIRECTORY);  // the new name too
   } catch (...) {
     std::error_code ignored;
     fs::remove(temporary, ignored);

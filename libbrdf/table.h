@@ -68,6 +68,7 @@ struct TableChannel {
 struct HalfAngleTable {
   std::vector<TableChannel> channels;  ///< 1 (Y) or 3 (R, G, B)
   bool absolute_scale = true;          ///< false: values are relative, no reference of known reflectance was used
+  double scale_sigma = 0;              ///< relative standard error of the scale, common to all values and not in their variance
   std::string provenance_json = "{}";  ///< command line, versions, input checksums, seed, units, colour space
 
   explicit HalfAngleTable(std::size_t n_channels = 3) : channels(n_channels) {}

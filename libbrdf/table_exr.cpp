@@ -1,5 +1,6 @@
 #include <Imath/ImathBox.h>
 #include <OpenEXR/ImfChannelList.h>
+#include <OpenEXR/ImfDoubleAttribute.h>
 #include <OpenEXR/ImfFrameBuffer.h>
 #include <OpenEXR/ImfHeader.h>
 #include <OpenEXR/ImfInputFile.h>
@@ -112,6 +113,7 @@ void write_exr(const std::filesystem::path& file, const HalfAngleTable& table) {
   header.zipCompressionLevel() = zip_level;
   header.insert("lacquer.version", Imf::IntAttribute(format_version));
   header.insert("lacquer.absolute_scale", Imf::IntAttribute(table.absolute_scale ? 1 : 0));
+  header.insert("lacquer.scale_sigma", Imf::DoubleAttribute(table.scale_sigma));
   header.insert("lacquer.provenance", Imf::StringAttribute(table.provenance_json));
 
   const auto names = channel_names(table.channels.size());
@@ -156,6 +158,10 @@ HalfAngleTable read_exr(const std::filesystem::path& file) {
 
   HalfAngleTable table(header.channels().findChannel("Y.mean") ? 1 : 3);
   table.absolute_scale = attribute<Imf::IntAttribute>(file, header, "lacquer.absolute_scale") != 0;
+  if (header.find("lacquer.scale_sigma") != header.end()) {  // tables from before it was known do not have it
+    table.scale_sigma = attribute<Imf::DoubleAttribute>(file, header, "lacquer.scale_sigma");
+    if (!(table.scale_sigma >= 0 && table.scale_sigma < 10)) fail_file(file, "lacquer.scale_sigma: expected a number from 0 to 10");
+  }
   table.provenance_json = attribute<Imf::StringAttribute>(file, header, "lacquer.provenance");
 
   const auto names = channel_names(table.channels.size());
