@@ -40,7 +40,6 @@ void collect_pairs(const BracketSamples& samples, std::size_t channel, const std
   for (std::size_t i = 0; i < pixels.n_pixels(); ++i) {
     for (std::size_t k = pixels.first[i]; k + 1 < pixels.first[i + 1]; ++k) {
       const Observation a = pixels.observations[k], b = pixels.observations[k + 1];
-      if (a.time == b.time) continue;
       const double t_a = samples.times[a.time], t_b = samples.times[b.time];
       const double e_a = exposure[a.value], e_b = exposure[b.value];
       const double radiance = (e_a + e_b) / (t_a + t_b);
@@ -65,9 +64,14 @@ struct Equation {
   std::array<double, 3> row;
   double weight;
   double target;
+  double lowest, highest;  ///< mean exposures of the shorter and the longer frame
+  double limit;            ///< exposure of the channel at saturation
 };
 
-std::vector<Equation> equations(std::vector<PairBin>& bins) {
+/// Values within this many sigmas of saturation, or of 0 where nothing below 0 is kept, are cut off: their scatter is too small.
+constexpr double cut_off_sigmas = 4;
+
+std::vector<Equation> equations(std::vector<PairBin>& bins, double limit) {
   std::vector<Equation> result;
   for (PairBin& bin : bins) {
     const std::size_t n = bin.squared_difference.size();
@@ -83,8 +87,12 @@ std::vector<Equation> equations(std::vector<PairBin>& bins) {
     const double variance = std::max(trimmed_mean / trimmed_chi_square_mean, quantisation);
     result.push_back({{(inverse_a + inverse_b) / variance, (z_a * inverse_a + z_b * inverse_b) / variance,
                        (z_a * z_a * inverse_a + z_b * z_b * inverse_b) / variance},
-                      std::min(count, 2000.0),
-                      1 - quantisation / variance});
+                      // Rounding alone is no normal noise, and says nothing of the other parts.
+                      std::min(count, 2000.0) * std::pow(std::max(1 - quantisation / variance, 0.02), 2),
+                      1 - quantisation / variance,
+                      z_a,
+                      z_b,
+                      limit});
   }
   return result;
 }
@@ -111,6 +119,26 @@ std::array<double, 3> solve_nonnegative(const std::vector<Equation>& equations) 
       x[i] = updated;
     }
     if (change < 1e-10) break;
+  }
+  return x;
+}
+
+/// Leaves out what is cut off according to the solution so far, until that stays. Where hardly anything is left, all is used.
+std::array<double, 3> solve_uncut(const std::vector<Equation>& all, bool floor_clips) {
+  std::array<double, 3> x = solve_nonnegative(all);
+  constexpr int max_rounds = 20;
+  std::size_t n_before = all.size();
+  for (int round = 0; round < max_rounds; ++round) {
+    const auto sigma = [&](double z) { return std::sqrt(x[0] + (x[1] + x[2] * z) * z); };
+    std::vector<Equation> kept;
+    for (const Equation& e : all) {
+      const bool dark = floor_clips && e.lowest < cut_off_sigmas * sigma(e.lowest);
+      if (!dark && e.highest + cut_off_sigmas * sigma(e.highest) < e.limit) kept.push_back(e);
+    }
+    if (kept.size() < 6) return solve_nonnegative(all);
+    x = solve_nonnegative(kept);
+    if (kept.size() == n_before) break;
+    n_before = kept.size();
   }
   return x;
 }
@@ -149,10 +177,11 @@ NoiseModel estimate_noise(const BracketSamples& samples, const Response& respons
   for (std::size_t channel = 0; channel < samples.channels.size(); ++channel) {
     std::vector<PairBin> bins(samples.times.size() * static_cast<std::size_t>(bins_per_octave * n_octaves));
     collect_pairs(samples, channel, response.curves[channel].exposure, bins);
-    const std::vector<Equation> part = equations(bins);
+    const auto saturation = static_cast<std::size_t>(saturation_value(known, response.bits));
+    const std::vector<Equation> part = equations(bins, response.curves[channel].exposure[saturation]);
     all.insert(all.end(), part.begin(), part.end());
   }
-  const auto [read_variance, shot, relative_variance] = solve_nonnegative(all);
+  const auto [read_variance, shot, relative_variance] = solve_uncut(all, !(known.black_level_dn > 0));
   NoiseModel noise = known;
   noise.dark_current_e_per_s = 0;
   noise.gain_e_per_dn = 1 / std::max(shot, 1e-6);  // 1e6 e/DN: shot noise far below quantisation, that is none
