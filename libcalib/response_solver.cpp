@@ -2,312 +2,377 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <limits>
 
 namespace lacquer::calib {
 
 namespace {
 
-/// Knots above this are not needed by any real sensor; 8 bits get one per level.
-constexpr int max_knots = 320;
-/// Residuals beyond this many sigmas count as contradictions (moved edge, dust, border of a registered photograph).
-constexpr double cauchy_sigmas = 4;
-/// Values are used from this predicted signal to noise ratio on, and up to this many sigmas below saturation ...
-constexpr double min_signal_to_noise = 3, saturation_sigmas = 4;
-/// ... and from this many quantisation steps on: rounding shifts the mean of what fell into a level by 1 / (12 steps^2).
-constexpr double min_steps = 6;
+/// A place where the bend h'' = d^2 ln f / d s^2 of the curve is penalised.
+struct Bend {
+  ResponseSpline::Basis basis;  ///< of h''
+  double s, span;               ///< s = ln(v - black) there and the length of s that it stands for
+};
 
-/// 0 up to `limit`, 1 from 1.5 limits on: hard limits would let values jump in and out for ever as the curve settles.
-double ramp(double x, double limit) { return std::clamp(2 * (x / limit - 1), 0.0, 1.0); }
+std::vector<Bend> bends(const ResponseSpline& spline) {
+  constexpr double step = 0.5;
+  std::vector<Bend> result;
+  const double end = spline.coordinate(spline.highest());
+  for (double c = step / 2; c < end; c += step)
+    result.push_back({spline.second_derivative(c), spline.log_signal(c), spline.log_signal(c + step / 2) - spline.log_signal(c - step / 2)});
+  return result;
+}
 
-/// Solves the symmetric positive definite system a x = b in place (Cholesky, lower triangle, row-major n x n).
-void solve_cholesky(std::vector<double>& a, std::vector<double>& b) {
-  const std::size_t n = b.size();
-  for (std::size_t j = 0; j < n; ++j) {
-    for (std::size_t i = j; i < n; ++i) {
-      const double* row_i = &a[i * n];
-      const double* row_j = &a[j * n];
-      const double sum = a[i * n + j] - std::inner_product(row_i, row_i + j, row_j, 0.0);
-      a[i * n + j] = i == j ? std::sqrt(sum) : sum / a[j * n + j];
-    }
-  }
-  for (std::size_t i = 0; i < n; ++i) b[i] = (b[i] - std::inner_product(&a[i * n], &a[i * n] + i, b.begin(), 0.0)) / a[i * n + i];
-  for (std::size_t i = n; i-- > 0;) {
-    for (std::size_t k = i + 1; k < n; ++k) b[i] -= a[k * n + i] * b[k];
-    b[i] /= a[i * n + i];
+double dot(const ResponseSpline::Basis& basis, const std::vector<double>& coefficients) {
+  double sum = 0;
+  for (std::size_t p = 0; p < 4; ++p) sum += basis.weight[p] * coefficients[basis.first + p];
+  return sum;
+}
+
+/// Adds strength * (basis . (coefficients + change) + constant)^2 / 2 to the normal equations of the change.
+void penalise(const ResponseSpline::Basis& basis, double value, double strength, std::size_t offset, SymmetricMatrix& a, std::vector<double>& b) {
+  for (std::size_t p = 0; p < 4; ++p) {
+    const double weight = strength * basis.weight[p];
+    b[offset + basis.first + p] -= weight * value;
+    for (std::size_t q = 0; q <= p; ++q) a.at(offset + basis.first + p, offset + basis.first + q) += weight * basis.weight[q];
   }
 }
 
-/// Pool adjacent violators: the non-decreasing sequence closest to `y`, then a rise of `min_step` between neighbours so that the
-/// curve can be inverted.
-void make_increasing(std::vector<double>& y, double min_step) {
-  struct Block {
-    double sum;
-    std::size_t n;
-    double mean() const { return sum / static_cast<double>(n); }
-  };
-  std::vector<Block> blocks;
-  for (std::size_t i = 0; i < y.size(); ++i) {
-    blocks.push_back({y[i], 1});
-    while (blocks.size() > 1 && blocks[blocks.size() - 2].mean() >= blocks.back().mean()) {
-      blocks[blocks.size() - 2].sum += blocks.back().sum;
-      blocks[blocks.size() - 2].n += blocks.back().n;
-      blocks.pop_back();
-    }
-  }
-  std::size_t i = 0;
-  for (const Block& block : blocks)
-    for (std::size_t k = 0; k < block.n; ++k) y[i++] = block.mean();
-  for (i = 1; i < y.size(); ++i) y[i] = std::max(y[i], y[i - 1] + min_step);
+constexpr double smallest_spread = 1e-4, largest_spread = 0.1;
+
+/// The lower one of two.
+double median(std::vector<double> x) {
+  const auto middle = x.begin() + static_cast<std::ptrdiff_t>((x.size() - 1) / 2);
+  std::nth_element(x.begin(), middle, x.end());
+  return *middle;
 }
 
 }  // namespace
 
-/// Normal equations of the change of h, lower triangle.
-struct ResponseSolver::Normal {
-  explicit Normal(std::size_t n) : a(n * n), b(n), information(n) {}
-  void add(std::size_t row, std::size_t column, double value) { a[row * b.size() + column] += value; }  ///< row >= column
-  std::vector<double> a, b;
-  std::vector<double> information;  ///< diagonal of a before the prior
-};
-
-/// One value: the change of h at `place` should be `target` plus a constant of the pixel.
-struct ResponseSolver::Row {
-  Place place;
-  double weight;
-  double target;
-};
-
-ResponseSolver::ResponseSolver(int bits, double black_level, int saturation, const SampledPixels& pixels,
-                               const std::vector<double>& times)
-    : bits_(bits), black_(black_level), saturation_(saturation), pixels_(pixels), times_(times) {
-  // Knots at integer values, spaced with the square root of the signal: as dense as shot noise allows to tell levels apart.
-  const int first = static_cast<int>(std::floor(black_level)) + 1, last = (1 << bits) - 1;
-  std::vector<int> values;
-  for (int k = 0; k <= max_knots; ++k) {
-    const double s = static_cast<double>(k) / max_knots;
-    const int v = last - first <= max_knots ? first + k : first + static_cast<int>(std::lround(s * s * (last - first)));
-    if (v <= last && (values.empty() || v > values.back())) values.push_back(v);
-  }
-  for (const int v : values) knots_.push_back(std::log(v - black_level));
-  for (const double t : times) log_times_.push_back(std::log(t));
-  log_exposure_ = knots_;
+ResponseSolver::ResponseSolver(int bits, double black_level, int saturation, const BracketSamples& samples)
+    : bits_(bits), corrections_(samples.times.size()), time_information_(samples.times.size()) {
+  for (const SampledPixels& pixels : samples.channels) channels_.emplace_back(bits, black_level, saturation, pixels, samples.times);
+  first_time_ = first_coefficient(channels_.size());
+  for (const double t : samples.times) log_times_.push_back(std::log(t));
 }
 
-ResponseSolver::Place ResponseSolver::place_of_log_value(double s) const {
-  const auto above = std::upper_bound(knots_.begin() + 1, knots_.end() - 1, s);
-  const auto k = static_cast<std::size_t>(above - knots_.begin()) - 1;
-  const double step = knots_[k + 1] - knots_[k], rise = log_exposure_[k + 1] - log_exposure_[k], upper = (s - knots_[k]) / step;
-  return {k, upper, std::exp(log_exposure_[k] + upper * rise - s) * rise / step};
+void ResponseSolver::start_from_power_law() {
+  for (ResponseChannel& c : channels_) c.start_from_power_law();
 }
 
-ResponseSolver::Place ResponseSolver::place_of_log_exposure(double g) const {
-  const auto above = std::upper_bound(log_exposure_.begin() + 1, log_exposure_.end() - 1, g);
-  const auto k = static_cast<std::size_t>(above - log_exposure_.begin()) - 1;
-  const double step = knots_[k + 1] - knots_[k], rise = log_exposure_[k + 1] - log_exposure_[k];
-  // Below the first knot the curve is the straight line to (black, 0).
-  if (g < log_exposure_[0]) return {0, 0.0, std::exp(log_exposure_[0] - knots_[0])};
-  const double upper = std::min((g - log_exposure_[k]) / rise, 1.0);
-  return {k, upper, std::exp(g - knots_[k] - upper * step) * rise / step};
+void ResponseSolver::start_from_line() {
+  for (ResponseChannel& c : channels_) c.start_from_line();
 }
 
-void ResponseSolver::fit_power_law() {
-  // gamma * s = log t + log x_i, s = log(v - black): regression within each pixel. All values well within the range count alike: a
-  // shoulder must not rule the start.
-  const double lowest = 8 * std::exp2(bits_ - 8);
-  double covariance = 0, variance = 0;
-  for (std::size_t i = 0; i < pixels_.n_pixels(); ++i) {
-    double w = 0, ws = 0, wt = 0, wss = 0, wst = 0;
-    for (std::size_t o = pixels_.first[i]; o < pixels_.first[i + 1]; ++o) {
-      const Observation obs = pixels_.observations[o];
-      const double signal = obs.value - black_;
-      if (signal < lowest || obs.value > 0.9 * saturation_) continue;
-      const double s = std::log(signal), t = log_times_[obs.time];
-      w += 1;
-      ws += s;
-      wt += t;
-      wss += s * s;
-      wst += s * t;
-    }
-    if (w <= 0) continue;
-    covariance += wst - ws * wt / w;
-    variance += wss - ws * ws / w;
-  }
-  // Cameras and films have exponents of 1 to 3; anything far beyond is a bracket that says nothing.
-  const double gamma = variance > 0 ? std::clamp(covariance / variance, 0.2, 5.0) : 1.0;
-  const double mid = std::log(std::exp2(bits_ - 1) - black_);
-  for (std::size_t k = 0; k < knots_.size(); ++k) log_exposure_[k] = mid + gamma * (knots_[k] - mid);
+void ResponseSolver::set_curves(const Response& response) {
+  for (std::size_t c = 0; c < channels_.size(); ++c) channels_[c].set_curve(response.curves[c].exposure);
 }
 
-double ResponseSolver::variance_at(double z, double slope, const NoiseModel* noise) const {
-  if (!noise) return slope * slope * std::exp2(2 * (bits_ - 8));
-  const double read = noise->read_noise_e / noise->gain_e_per_dn, relative = noise->relative_noise * z;
-  return read * read + z / noise->gain_e_per_dn + relative * relative + slope * slope / 12;
-}
-
-void ResponseSolver::collect_rows(std::size_t pixel, const NoiseModel* noise, const std::vector<double>& exposure,
-                                  std::vector<Row>& rows) const {
-  rows.clear();
-  const std::size_t begin = pixels_.first[pixel], end = pixels_.first[pixel + 1];
-  double sum_e = 0, sum_t = 0;
-  for (std::size_t o = begin; o < end; ++o) {
-    sum_e += exposure[pixels_.observations[o].value];
-    sum_t += times_[pixels_.observations[o].time];
-  }
-  if (!(sum_e > 0)) return;
-  const double limit = exposure[static_cast<std::size_t>(saturation_)], log_x0 = std::log(sum_e / sum_t);
-  double weighted = 0, precision = 0;
-  std::size_t last_time = 0, first_time = times_.size();
-  for (std::size_t o = begin; o < end; ++o) {
-    const Observation obs = pixels_.observations[o];
-    const double log_z = log_x0 + log_times_[obs.time], z = std::exp(log_z), slope = place_of_log_exposure(log_z).slope;
-    const double variance = variance_at(z, slope, noise);
-    const double sigma = std::sqrt(variance);
-    const double use = ramp(z / sigma, min_signal_to_noise) * ramp(z / slope, min_steps) * ramp((limit - z) / sigma, saturation_sigmas);
-    if (use <= 0) continue;
-    const double t = times_[obs.time];
-    weighted += use * t * exposure[obs.value] / variance;
-    precision += use * t * t / variance;
-    rows.push_back({{obs.time, 0.0, 0.0}, use * z * z / variance, exposure[obs.value]});
-    last_time = std::max<std::size_t>(last_time, obs.time);
-    first_time = std::min<std::size_t>(first_time, obs.time);
-  }
-  if (rows.empty() || last_time <= first_time || !(weighted > 0)) {
-    rows.clear();
-    return;
-  }
-  const double log_x = std::log(weighted / precision);
-  for (Row& r : rows) {
-    const double log_z = log_x + log_times_[r.place.knot];  // the time index was parked there
-    // Bounded, so that the first rounds, far from the solution, do not overshoot.
-    const double residual = std::clamp(r.target / std::exp(log_z) - 1, -0.9, 2.0);
-    r.place = place_of_log_exposure(log_z);
-    r.target = -residual;
-    if (noise) r.weight /= 1 + residual * residual * r.weight / (cauchy_sigmas * cauchy_sigmas);
-  }
-}
-
-void ResponseSolver::add_rows(const std::vector<Row>& rows, Normal& normal) const {
-  double sum_w = 0, sum_wy = 0;
-  for (const Row& r : rows) {
-    sum_w += r.weight;
-    sum_wy += r.weight * r.target;
-  }
-  for (std::size_t i = 0; i < rows.size(); ++i) {
-    const Row& p = rows[i];
-    const std::size_t k = p.place.knot;
-    const double lower_p = p.weight * (1 - p.place.upper), upper_p = p.weight * p.place.upper, centred = p.target - sum_wy / sum_w;
-    normal.b[k] += lower_p * centred;
-    normal.b[k + 1] += upper_p * centred;
-    // The row itself, less its part in the elimination of the pixel's radiance.
-    const double own = 1 / p.weight - 1 / sum_w;
-    normal.add(k, k, lower_p * lower_p * own);
-    normal.add(k + 1, k, lower_p * upper_p * own);
-    normal.add(k + 1, k + 1, upper_p * upper_p * own);
-    for (std::size_t j = 0; j < i; ++j) {
-      const Row& q = rows[j];  // of a shorter exposure: its knot is not above k
-      const std::size_t m = q.place.knot;
-      const double lower_q = q.weight * (1 - q.place.upper) / sum_w, upper_q = q.weight * q.place.upper / sum_w;
-      normal.add(k + 1, m, -upper_p * lower_q);
-      if (k == m) {  // (k, k + 1) and (k + 1, k) are one entry of the lower triangle, the diagonal counts both orders
-        normal.add(k, k, -2 * lower_p * lower_q);
-        normal.add(k + 1, k, -lower_p * upper_q);
-        normal.add(k + 1, k + 1, -2 * upper_p * upper_q);
-      } else {
-        normal.add(k, m, -lower_p * lower_q);
-        normal.add(k, m + 1, (k == m + 1 ? -2 : -1) * lower_p * upper_q);
-        normal.add(k + 1, m + 1, -upper_p * upper_q);
+ResponseSolver::Equations ResponseSolver::equations(const Round& round, bool scatter) {
+  const std::size_t n = first_time_ + corrections_.size();
+  Equations joint{SymmetricMatrix(n), SymmetricMatrix(scatter ? n : 0), std::vector<double>(n)};
+  double squares = 0, weights = 0;
+  for (std::size_t c = 0; c < channels_.size(); ++c) {
+    const auto part = channels_[c].equations(round.noise, corrections_, round.pixel_step, scatter);
+    const std::size_t own = channels_[c].coefficients().size();
+    const auto index = [&](std::size_t k) { return k < own ? first_coefficient(c) + k : first_time_ + k - own; };
+    for (std::size_t i = 0; i < part.b.size(); ++i) {
+      joint.b[index(i)] += part.b[i];
+      for (std::size_t j = 0; j <= i; ++j) {
+        joint.a.at(index(i), index(j)) += part.a(i, j);
+        if (scatter) joint.scatter.at(index(i), index(j)) += part.scatter(i, j);
       }
     }
+    squares += part.squares;
+    weights += part.weights;
   }
+  residual_rms_ = weights > 0 ? std::sqrt(squares / weights) : 0;
+  for (std::size_t j = 0; j < corrections_.size(); ++j) time_information_[j] = joint.a(first_time_ + j, first_time_ + j);
+  return joint;
 }
 
-/// Of h after the change: integral of h''^2 over s = log(v - black), and far weaker than any data |h| < 10 (the data say nothing about
-/// its mean, which is the gauge, and with few levels hardly anything about its slope).
-/// Structure of h finer than the noise of a value cannot be seen through that noise; left free, it would grow with every round. The
-/// penalty outweighs the data (their information per s, I) at wavelengths below 2 pi L: strength I L^4, L = resolution * sigma_s.
-void ResponseSolver::add_prior(const NoiseModel* noise, double slope_change, Normal& normal) const {
-  constexpr double resolution = 1.5;
-  const std::size_t n = knots_.size();
-  const auto h = [&](std::size_t k) { return log_exposure_[k] - knots_[k]; };
+/// So that the solution is the smoothest curve that the data allow: the integral of h''^2 / (c (c + |m|)) over s = ln(v - black), c =
+/// slope_change, m the mean of h'' within a window around. A quadratic penalty would pay for a bend (the shoulder of a film) with ripples
+/// elsewhere; this one is linear in a bend and still quadratic in ripples, which have no mean bend. Far weaker than any data: |h| < 10, for a bracket that says nothing.
+void ResponseSolver::add_curve_prior(std::size_t channel, double slope_change, SymmetricMatrix& a, std::vector<double>& b) const {
+  constexpr double window = 0.25, ridge = 0.01;
+  const ResponseChannel& curve = channels_[channel];
+  const ResponseSpline& spline = curve.spline();
+  const std::vector<double>& coefficients = curve.coefficients();
+  const std::size_t offset = first_coefficient(channel);
+  const std::vector<Bend> places = bends(spline);
+  std::vector<double> values, sums{0}, spans{0};
+  for (const Bend& place : places) {
+    values.push_back(dot(place.basis, coefficients));
+    sums.push_back(sums.back() + values.back() * place.span);
+    spans.push_back(spans.back() + place.span);
+  }
+  for (std::size_t k = 0, low = 0, high = 0; k < places.size(); ++k) {
+    while (places[low].s < places[k].s - window) ++low;
+    while (high < places.size() && places[high].s < places[k].s + window) ++high;
+    const double mean_bend = (sums[high] - sums[low]) / (spans[high] - spans[low]);
+    penalise(places[k].basis, values[k], places[k].span / (slope_change * (slope_change + std::abs(mean_bend))), offset, a, b);
+  }
+  const double n = static_cast<double>(coefficients.size());
   double largest = 0;
-  for (std::size_t k = 0; k < n; ++k) {
-    normal.information[k] = normal.a[k * n + k];
-    largest = std::max(largest, normal.information[k]);
+  for (std::size_t k = 0; k < coefficients.size(); ++k) largest = std::max(largest, a(offset + k, offset + k));
+  for (const Bend& place : places) {
+    const ResponseSpline::Basis value = spline.basis(spline.coordinate(place.s));
+    penalise(value, dot(value, coefficients) + (curve.gamma() - 1) * (place.s - curve.mid_log_signal()), ridge / n, offset, a, b);
   }
-  for (std::size_t k = 1; k + 1 < n; ++k) {
-    const double below = knots_[k] - knots_[k - 1], above = knots_[k + 1] - knots_[k], span = (below + above) / 2;
-    const double z = std::exp(log_exposure_[k]), slope = place_of_log_exposure(log_exposure_[k]).slope;
-    const double length = std::min(resolution * std::sqrt(variance_at(z, slope, noise)) / slope / std::exp(knots_[k]), 0.5);
-    const double d[3] = {1 / (below * span), -1 / (below * span) - 1 / (above * span), 1 / (above * span)};
-    const double strength = span / (slope_change * slope_change) + normal.information[k] * std::pow(length, 4);
-    const double second_derivative = d[0] * h(k - 1) + d[1] * h(k) + d[2] * h(k + 1);
-    for (std::size_t p = 0; p < 3; ++p) {
-      normal.b[k - 1 + p] -= strength * d[p] * second_derivative;
-      for (std::size_t q = 0; q <= p; ++q) normal.add(k - 1 + p, k - 1 + q, strength * d[p] * d[q]);
-    }
-  }
-  const double ridge = 0.01 / static_cast<double>(n) + 1e-12 * largest;  // the latter against rounding
-  for (std::size_t k = 0; k < n; ++k) {
-    normal.b[k] -= ridge * h(k);
-    normal.add(k, k, ridge);
-  }
+  // The gauge: mid-range stays.
+  penalise(spline.basis(spline.coordinate(curve.mid_log_signal())), 0, 1e-3 * largest, offset, a, b);
 }
 
-double ResponseSolver::update(Normal& normal) {
-  const std::size_t n = knots_.size();
-  solve_cholesky(normal.a, normal.b);
-  const std::vector<double> before = log_exposure_;
-  // Gauge: mid-range stays. The data leave a constant open, so the solution may hold any.
-  const double mid = std::log(std::exp2(bits_ - 1) - black_);
-  const Place place = place_of_log_value(mid);
-  const auto at_mid = [&](const std::vector<double>& y) { return (1 - place.upper) * y[place.knot] + place.upper * y[place.knot + 1]; };
-  const double constant = at_mid(normal.b);
-  // At most a factor e in one round: far from the solution the linearisation is not to be trusted further.
-  for (std::size_t k = 0; k < n; ++k) log_exposure_[k] += std::clamp(normal.b[k] - constant, -1.0, 1.0);
-  make_increasing(log_exposure_, 1e-7);
-  const double shift = mid - at_mid(log_exposure_);
-  double squares = 0, total = 0;
-  for (std::size_t k = 0; k < n; ++k) {
-    log_exposure_[k] += shift;
-    squares += normal.information[k] * (log_exposure_[k] - before[k]) * (log_exposure_[k] - before[k]);
-    total += normal.information[k];
+double ResponseSolver::time_precision(std::size_t j, double time_sigma) const {
+  constexpr double heavy_tail = 3;  // sigmas
+  const double variance = std::max(time_sigma * time_sigma, 1e-18);
+  // Tails are for single frames: an exponent of all times is no excuse, or a line and wrong times would explain every power law.
+  const double distance = corrections_[j] - exponent_ * (log_times_[j] - median(log_times_));
+  return 1 / (variance + distance * distance / (heavy_tail * heavy_tail));
+}
+
+/// Beside the prior of each e_j the exponent is held: a round does not change sum of w_j (ln t_j - mean) e_j, w_j the prior's precision, small
+/// for times that are false. An exponent of all times is one of the curve, the pixels do not see it; see
+/// take_exponent_to_curves.
+void ResponseSolver::add_time_prior(double time_sigma, SymmetricMatrix& a, std::vector<double>& b) const {
+  constexpr double firmness = 1e12;
+  const std::size_t n = corrections_.size();
+  double sum_w = 0, sum_wt = 0;
+  for (std::size_t j = 0; j < n; ++j) {
+    const double precision = time_precision(j, time_sigma);
+    b[first_time_ + j] -= precision * corrections_[j];
+    a.at(first_time_ + j, first_time_ + j) += precision;
+    sum_w += precision;
+    sum_wt += precision * log_times_[j];
   }
+  std::vector<double> exponent(n);
+  double norm = 0;
+  for (std::size_t j = 0; j < n; ++j) {
+    const double distance = log_times_[j] - sum_wt / sum_w, precision = time_precision(j, time_sigma);
+    exponent[j] = precision * distance;
+    norm += precision * distance * distance;
+  }
+  if (!(norm > 0)) return;
+  for (std::size_t j = 0; j < n; ++j)
+    for (std::size_t k = 0; k <= j; ++k) a.at(first_time_ + j, first_time_ + k) += firmness * exponent[j] * exponent[k] / (norm * norm);
+}
+
+/// Median slope of e_j over ln t_j between pairs of frames (Theil and Sen): false times do not tilt it. With less than four frames 0: nothing
+/// tells a false time from an exponent then.
+double ResponseSolver::exponent_of_times() const {
+  std::vector<double> slopes;
+  for (std::size_t j = 0; j < corrections_.size(); ++j)
+    for (std::size_t k = 0; k < j; ++k)
+      if (is_seen(j) && is_seen(k) && log_times_[j] > log_times_[k])
+        slopes.push_back((corrections_[j] - corrections_[k]) / (log_times_[j] - log_times_[k]));
+  return slopes.size() < 6 ? 0.0 : std::clamp(median(slopes), -0.5, 0.5);
+}
+
+/// Gauge: the exponent of the times is 0. With e_j = a ln t_j + ..., the model ln f(v_ij) = ln x_i + ln t_j + e_j divided by 1 + a is the
+/// same model.
+void ResponseSolver::take_exponent_to_curves() {
+  const double slope = exponent_of_times(), middle = median(log_times_);
+  for (std::size_t j = 0; j < corrections_.size(); ++j) corrections_[j] = (corrections_[j] - slope * (log_times_[j] - middle)) / (1 + slope);
+  for (ResponseChannel& c : channels_) c.divide_exponent(1 + slope);
+}
+
+double ResponseSolver::refine(const Round& round) {
+  Equations joint = equations(round, false);
+  std::vector<double> information;
+  for (std::size_t i = 0; i < first_time_; ++i) information.push_back(joint.a(i, i));
+  for (std::size_t c = 0; c < channels_.size(); ++c) add_curve_prior(c, round.slope_change, joint.a, joint.b);
+  add_time_prior(round.time_sigma, joint.a, joint.b);
+  std::vector<double> change = solve(std::move(joint.a), std::move(joint.b));
+  // At most a factor e in one round: far from the solution the linearisation is not to be trusted further.
+  for (double& x : change) x = std::clamp(x, -1.0, 1.0);
+  double squares = 0, total = 0;
+  for (std::size_t i = 0; i < first_time_; ++i) {
+    squares += information[i] * change[i] * change[i];
+    total += information[i];
+  }
+  for (std::size_t c = 0; c < channels_.size(); ++c) channels_[c].change_spline(&change[first_coefficient(c)]);
+  for (std::size_t j = 0; j < corrections_.size(); ++j) corrections_[j] += change[first_time_ + j];
+  if (round.time_sigma > 0) take_exponent_to_curves();
   return total > 0 ? std::sqrt(squares / total) : 0;
 }
 
-double ResponseSolver::refine(const NoiseModel* noise, double slope_change) {
-  Normal normal(knots_.size());
-  const std::vector<double> exposure = curve();
-  std::vector<Row> rows;
-  double squares = 0, weights = 0;
-  for (std::size_t i = 0; i < pixels_.n_pixels(); ++i) {
-    collect_rows(i, noise, exposure, rows);
-    add_rows(rows, normal);
-    for (const Row& r : rows) {
-      squares += r.weight * r.target * r.target;
-      weights += r.weight;
-    }
+double ResponseSolver::refine_times(const Round& round) {
+  const Equations joint = equations(round, false);
+  const std::size_t n = corrections_.size();
+  SymmetricMatrix a(n);
+  std::vector<double> b(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    b[i] = joint.b[first_time_ + i] - time_precision(i, round.time_sigma) * corrections_[i];
+    for (std::size_t j = 0; j <= i; ++j) a.at(i, j) = joint.a(first_time_ + i, first_time_ + j);
+    a.at(i, i) += time_precision(i, round.time_sigma);
   }
-  residual_rms_ = weights > 0 ? std::sqrt(squares / weights) : 0;
-  add_prior(noise, slope_change, normal);
-  return update(normal);
+  const std::vector<double> change = solve(std::move(a), std::move(b));
+  double largest = 0;
+  for (std::size_t j = 0; j < n; ++j) {
+    corrections_[j] += std::clamp(change[j], -1.0, 1.0);
+    largest = std::max(largest, std::abs(change[j]));
+  }
+  exponent_ = exponent_of_times();
+  return largest;
 }
 
-std::vector<double> ResponseSolver::curve() const {
-  const auto n = std::size_t{1} << bits_;
-  const auto first = static_cast<std::size_t>(std::floor(black_)) + 1;
-  std::vector<double> exposure(n);
-  for (std::size_t v = first, k = 0; v < n; ++v) {
-    const double s = std::log(static_cast<double>(v) - black_);
-    while (k + 2 < knots_.size() && s > knots_[k + 1]) ++k;
-    const double upper = (s - knots_[k]) / (knots_[k + 1] - knots_[k]);
-    exposure[v] = std::exp((1 - upper) * log_exposure_[k] + upper * log_exposure_[k + 1]);
+void ResponseSolver::reset_times() {
+  std::fill(corrections_.begin(), corrections_.end(), 0.0);
+  exponent_ = 0;
+}
+
+bool ResponseSolver::times_differ(const std::vector<double>& log_time_sigma) const {
+  for (std::size_t j = 0; j < corrections_.size(); ++j)
+    if (std::abs(corrections_[j]) > std::max(5e-4, 4 * log_time_sigma[j])) return true;
+  return false;
+}
+
+bool ResponseSolver::is_seen(std::size_t j) const {
+  constexpr double few_percent = 0.03;
+  return time_information_[j] * few_percent * few_percent > 1;
+}
+
+/// Of what is left of the e_j when their common mean is taken off: the gauge has no error. Infinite for a frame that is clipped or dark
+/// throughout.
+std::vector<double> ResponseSolver::time_sigma(const SymmetricMatrix& covariance) const {
+  std::vector<std::size_t> seen;
+  for (std::size_t j = 0; j < corrections_.size(); ++j)
+    if (is_seen(j)) seen.push_back(j);
+  std::vector<double> sigma(corrections_.size(), std::numeric_limits<double>::infinity());
+  if (seen.size() < 2) return sigma;
+  const double n = static_cast<double>(seen.size());
+  std::vector<double> row_mean(corrections_.size());
+  double mean = 0;
+  for (const std::size_t j : seen)
+    for (const std::size_t k : seen) {
+      row_mean[j] += covariance(j, k) / n;
+      mean += covariance(j, k) / (n * n);
+    }
+  for (const std::size_t j : seen) sigma[j] = std::sqrt(std::max(0.0, covariance(j, j) - 2 * row_mean[j] + mean));
+  return sigma;
+}
+
+double ResponseSolver::spread_of_times() const {
+  constexpr double small_sample = 1.2;  // a median of some ten distances is 10 % low and 20 % uncertain
+  std::vector<double> seen, distance;
+  for (std::size_t j = 0; j < corrections_.size(); ++j)
+    if (is_seen(j)) seen.push_back(corrections_[j] - exponent_ * log_times_[j]);
+  if (seen.size() < 3) return smallest_spread;
+  const double middle = median(seen);
+  for (const double e : seen) distance.push_back(std::abs(e - middle));
+  return std::clamp(small_sample * 1.4826 * median(distance), smallest_spread, largest_spread);
+}
+
+Response ResponseSolver::response() const {
+  Response response{bits_, false, {}};
+  for (const ResponseChannel& c : channels_) response.curves.push_back({c.exposure(), {}, {}});
+  return response;
+}
+
+std::vector<std::size_t> ResponseSolver::band_values(const ResponseChannel& channel) const {
+  const std::size_t mid = std::size_t{1} << (bits_ - 1), top = channel.exposure().size() - 1;
+  const ResponseSpline& spline = channel.spline();
+  std::vector<std::size_t> values{mid, top};
+  for (double c = 0; c < spline.coordinate(spline.highest()); ++c) {
+    const double above_first = std::exp(spline.log_signal(c)) - std::exp(spline.lowest());
+    values.push_back(std::min(top, channel.first_value() + static_cast<std::size_t>(std::lround(above_first))));
   }
-  // Below: the straight line through (black, 0), so that noise around black keeps its sign.
-  const double slope = exposure[first] / (static_cast<double>(first) - black_);
-  for (std::size_t v = 0; v < first; ++v) exposure[v] = (static_cast<double>(v) - black_) * slope;
-  return exposure;
+  std::sort(values.begin(), values.end());
+  values.erase(std::unique(values.begin(), values.end()), values.end());
+  return values;
+}
+
+Response ResponseSolver::response_with_band(const Round& round, std::size_t sampled_step) {
+  const double residual_rms = residual_rms_;
+  Round sampled = round;
+  sampled.pixel_step = sampled_step;
+  Equations joint = equations(sampled, true);
+  residual_rms_ = residual_rms;
+  joint.a.scale(static_cast<double>(sampled_step) / static_cast<double>(round.pixel_step));
+  joint.scatter.scale(static_cast<double>(sampled_step) / static_cast<double>(round.pixel_step));
+  SymmetricMatrix prior(joint.a.size());
+  for (std::size_t c = 0; c < channels_.size(); ++c) add_curve_prior(c, round.slope_change, prior, joint.b);
+  add_time_prior(round.time_sigma, prior, joint.b);
+  joint.a.add(prior);
+  joint.scatter.add(prior);
+  const SymmetricMatrix covariance = sandwich(std::move(joint.a), joint.scatter);
+
+  Response result = response();
+  for (std::size_t c = 0; c < channels_.size(); ++c) {
+    const ResponseChannel& channel = channels_[c];
+    ResponseCurve& curve = result.curves[c];
+    const ResponseSpline::Basis at_mid = channel.basis_of_value(std::size_t{1} << (bits_ - 1));
+    for (const std::size_t v : band_values(channel)) {
+      const ResponseSpline::Basis here = channel.basis_of_value(v);
+      std::vector<double> x(channel.coefficients().size());
+      for (std::size_t p = 0; p < 4; ++p) {
+        x[here.first + p] += here.weight[p];
+        x[at_mid.first + p] -= at_mid.weight[p];
+      }
+      curve.band_value.push_back(static_cast<double>(v));
+      curve.band_log_sigma.push_back(std::sqrt(std::max(0.0, covariance.quadratic_form(first_coefficient(c), x))));
+    }
+  }
+  return result;
+}
+
+std::vector<double> ResponseSolver::loosen_times(Round round) {
+  constexpr int max_rounds = 10;
+  constexpr double tolerance = 1e-5;
+  round.time_sigma = largest_spread;
+  for (int i = 0; i < max_rounds && refine_times(round) > tolerance; ++i) continue;
+  const Equations joint = equations(round, true);
+  const std::size_t n = corrections_.size();
+  SymmetricMatrix a(n), scatter(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t j = 0; j <= i; ++j) {
+      a.at(i, j) = joint.a(first_time_ + i, first_time_ + j);
+      scatter.at(i, j) = joint.scatter(first_time_ + i, first_time_ + j);
+    }
+    a.at(i, i) += time_precision(i, round.time_sigma);
+    scatter.at(i, i) += time_precision(i, round.time_sigma);
+  }
+  return time_sigma(sandwich(std::move(a), scatter));
+}
+
+TimeFit fit_times(ResponseSolver& solver, const BracketSamples& samples, const Response& response, const NoiseModel& known) {
+  constexpr int noise_rounds = 3, max_iterations = 30;
+  constexpr double tolerance = 1e-6;
+  solver.set_curves(response);
+  TimeFit fit;
+  NoiseModel noise;
+  ResponseSolver::Round round;
+  round.time_sigma = loose_time_sigma;
+  while (fit.iterations < max_iterations && !fit.converged) {
+    const int i = fit.iterations++;
+    const double change = solver.refine_times(round);
+    fit.converged = i > noise_rounds && change < tolerance;
+    if (i >= noise_rounds) continue;
+    noise = estimate_noise(samples.with_times(solver.log_time_corrections()), response, known);
+    round.noise = &noise;
+    round.time_sigma = solver.spread_of_times();
+  }
+  fit.log_sigma = solver.loosen_times(round);
+  return fit;
+}
+
+FrameTimes times_of_frames(std::span<const std::size_t> bracket_sizes, const BracketSamples& samples, const std::vector<double>& corrections,
+                           const std::vector<double>& log_sigma) {
+  FrameTimes result;
+  std::size_t f = 0;
+  for (const std::size_t size : bracket_sizes) {
+    std::vector<double> seen;
+    for (std::size_t i = 0; i < size; ++i)
+      if (const std::size_t k = samples.exposure_of_frame[f + i]; std::isfinite(log_sigma[k])) seen.push_back(corrections[k]);
+    const double gauge = seen.empty() ? 0 : median(seen);
+    for (std::size_t i = 0; i < size; ++i, ++f) {
+      const std::size_t k = samples.exposure_of_frame[f];
+      result.log_correction.push_back(std::isfinite(log_sigma[k]) ? corrections[k] - gauge : 0.0);
+      result.log_sigma.push_back(log_sigma[k]);
+    }
+  }
+  return result;
 }
 
 }  // namespace lacquer::calib
