@@ -8,8 +8,18 @@
 #include "libbrdf/error.h"
 #include "libbrdf/files.h"
 #include "libcalib/calibration_json.h"
+#include "libcalib/noise_json.h"
 
 namespace lacquer::calib {
+
+namespace {
+
+void read_maps(const std::filesystem::path& file, Calibration& c) {
+  c.maps = read_sensor_maps(file);
+  c.maps_file = file;
+}
+
+}  // namespace
 
 Calibration calibration_from_rig(const acquire::RigDescription& rig) {
   const auto& sensor = rig.sensor;
@@ -24,8 +34,15 @@ Calibration calibration_from_rig(const acquire::RigDescription& rig) {
       sensor.full_well_e > 0 ? sensor.black_level_dn + (sensor.full_well_e - 6 * sensor.read_noise_e) / sensor.gain_e_per_dn : adc_limit;
   c.noise.saturation_dn = std::floor(std::min(adc_limit, full_well_limit));
   c.noise_source = "rig file";
+  if (sensor.noise_file) {
+    const double saturation = c.noise.saturation_dn;
+    c.noise = read_noise_model(*sensor.noise_file);
+    c.noise.saturation_dn = c.noise.saturation_dn > 0 ? std::min(c.noise.saturation_dn, saturation) : saturation;
+    c.noise_source = "measured: " + sensor.noise_file->filename().string();
+  }
+  if (sensor.maps_file) read_maps(*sensor.maps_file, c);
 
-  c.response = linear_response(sensor.bits, acquire::n_channels(sensor.layout), sensor.black_level_dn);
+  c.response = linear_response(sensor.bits, acquire::n_channels(sensor.layout), c.noise.black_level_dn);
   c.response_source = "linear, as the rig file says";
 
   c.geometry = rig.geometry;
@@ -36,6 +53,15 @@ Calibration calibration_from_rig(const acquire::RigDescription& rig) {
   c.absolute_scale = rig.absolute_scale;
   c.scale_source = rig.absolute_scale ? "rig file" : "none: relative";
   return c;
+}
+
+DriftValue Calibration::light_factor(const acquire::ViewRecord& view) const {
+  if (view.light < 0 || static_cast<std::size_t>(view.light) >= light_drift.size()) return {};
+  const LightDrift& drift = light_drift[static_cast<std::size_t>(view.light)];
+  if (drift.model == LightDrift::Model::none) return {};
+  const std::optional<double> time = view.time_s();
+  if (!time) throw Error(ErrorCode::file, fmt::format("session.json: view {}: frames: time_s is missing, and light {} is not steady", view.id, view.light));
+  return {drift.factor(*time), drift.factor_sigma(*time)};
 }
 
 void write_calibration(const std::filesystem::path& file, const Calibration& c, const std::string& provenance_json) {
@@ -52,6 +78,8 @@ void write_calibration(const std::filesystem::path& file, const Calibration& c, 
                 {"dark_current_e_per_s", c.noise.dark_current_e_per_s},
                 {"saturation_dn", c.noise.saturation_dn},
                 {"relative_noise", c.noise.relative_noise}};
+  if (!c.maps_file.empty()) j["noise"]["maps_file"] = c.maps_file.lexically_relative(file.parent_path()).generic_string();
+  if (!c.dark_source.empty()) j["noise"]["darks"] = c.dark_source;
   j["geometry"] = geometry_to_json(c.geometry);
   j["geometry"]["source"] = c.geometry_source;
   j["scale"] = {{"source", c.scale_source},
@@ -59,6 +87,11 @@ void write_calibration(const std::filesystem::path& file, const Calibration& c, 
                 {"dn_per_radiance", vector_to_json(c.dn_per_radiance)},
                 {"vignetting", c.vignetting},
                 {"lens_blur_px", c.lens_blur_px}};
+  if (!c.drift_source.empty()) {
+    j["light_drift"]["source"] = c.drift_source;
+    j["light_drift"]["lights"] = nlohmann::ordered_json::array();
+    for (const LightDrift& drift : c.light_drift) j["light_drift"]["lights"].push_back(drift_to_json(drift));
+  }
   brdf::write_text_atomically(file, j.dump(1) + "\n");
 }
 
@@ -79,6 +112,9 @@ Calibration read_calibration(const std::filesystem::path& file) {
   c.noise.dark_current_e_per_s = noise.number("dark_current_e_per_s", 0, 1e9);
   c.noise.saturation_dn = noise.number("saturation_dn", 1, 65535);
   c.noise.relative_noise = noise.number("relative_noise", 0, 1);
+  if (noise.has("maps_file")) read_maps(file.parent_path() / noise.text("maps_file"), c);
+
+  if (noise.has("darks")) c.dark_source = noise.text("darks");
 
   const JsonReader geometry = root.object("geometry");
   c.geometry = geometry_from_json(geometry);
@@ -90,6 +126,13 @@ Calibration read_calibration(const std::filesystem::path& file) {
   c.dn_per_radiance = scale.vector3("dn_per_radiance", 1e-30, 1e30);
   c.vignetting = scale.number("vignetting", 0, 0.999);
   c.lens_blur_px = scale.number("lens_blur_px", 0, 100);
+
+  if (root.has("light_drift")) {
+    const JsonReader drift = root.object("light_drift");
+    c.drift_source = drift.text("source");
+    for (const JsonReader& light : drift.objects("lights", c.geometry.lights.size())) c.light_drift.push_back(drift_from_json(light));
+    if (c.light_drift.size() != c.geometry.lights.size()) drift.fail("lights", fmt::format("{} entries, one per light", c.geometry.lights.size()));
+  }
   return c;
 }
 

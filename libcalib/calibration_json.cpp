@@ -189,6 +189,39 @@ acquire::RigGeometry geometry_from_json(const JsonReader& j) {
   return g;
 }
 
+Json drift_to_json(const LightDrift& drift) {
+  std::vector<double> time, intensity, sigma, factor, factor_sigma;
+  for (const DriftPoint& p : drift.points) {
+    time.push_back(p.time_s);
+    intensity.push_back(p.intensity);
+    sigma.push_back(p.sigma);
+    factor.push_back(drift.factor(p.time_s));
+    factor_sigma.push_back(drift.factor_sigma(p.time_s));
+  }
+  return {{"model", name_of(drift.model)}, {"time_constant_s", drift.time_constant_s}, {"light_noise", drift.light_noise}, {"start", drift.start}, {"start_sigma", drift.start_sigma},
+          {"time_s", time}, {"intensity", intensity}, {"sigma", sigma}, {"factor", factor}, {"factor_sigma", factor_sigma}};
+}
+
+LightDrift drift_from_json(const JsonReader& j) {
+  constexpr std::size_t max_points = 100000;
+  LightDrift drift;
+  try {
+    drift.model = drift_model_from_name(j.text("model"));
+  } catch (const Error&) {
+    j.fail("model", "none, linear, warm_up, smooth or per_view");
+  }
+  const bool has_constant = drift.model == LightDrift::Model::warm_up || drift.model == LightDrift::Model::smooth;
+  drift.time_constant_s = j.number("time_constant_s", has_constant ? 1e-9 : 0, 1e12);
+  drift.light_noise = j.number("light_noise", 0, 100);
+  drift.start = j.number("start", 1e-9, 1e9);
+  drift.start_sigma = j.number("start_sigma", 0, 1e9);
+  const auto time = j.numbers("time_s", -1e9, 1e9, drift.model == LightDrift::Model::none ? 0 : 2, max_points);
+  if (std::adjacent_find(time.begin(), time.end(), std::greater_equal<>()) != time.end()) j.fail("time_s", "ascending numbers");
+  const auto intensity = j.numbers("intensity", 1e-9, 1e9, time.size(), time.size()), sigma = j.numbers("sigma", 1e-30, 1e9, time.size(), time.size());
+  for (std::size_t k = 0; k < time.size(); ++k) drift.points.push_back({time[k], intensity[k], sigma[k]});
+  return drift;
+}
+
 Json response_to_json(const Response& response) {
   Json j;
   j["bits"] = response.bits;
@@ -199,10 +232,24 @@ Json response_to_json(const Response& response) {
     j["black_level_dn"] = -response.curves.at(0).exposure.at(0);
   } else {
     j["curves"] = Json::array();
-    for (const auto& curve : response.curves) j["curves"].push_back({{"exposure", curve.exposure}});
+    for (const auto& curve : response.curves) {
+      j["curves"].push_back({{"exposure", curve.exposure}});
+      if (!curve.band_value.empty()) j["curves"].back()["band"] = {{"value", curve.band_value}, {"log_sigma", curve.band_log_sigma}};
+    }
   }
   return j;
 }
+
+namespace {
+
+void read_band(const JsonReader& j, ResponseCurve& curve) {
+  curve.band_value = j.numbers("value", 0, static_cast<double>(curve.exposure.size() - 1), 1, curve.exposure.size());
+  if (std::adjacent_find(curve.band_value.begin(), curve.band_value.end(), std::greater_equal<>()) != curve.band_value.end())
+    j.fail("value", "strictly increasing numbers");
+  curve.band_log_sigma = j.numbers("log_sigma", 0, 1e6, curve.band_value.size(), curve.band_value.size());
+}
+
+}  // namespace
 
 Response response_from_json(const JsonReader& j) {
   const int bits = static_cast<int>(j.number("bits", 8, 16));
@@ -219,6 +266,7 @@ Response response_from_json(const JsonReader& j) {
     const auto& exposure = response.curves.back().exposure;
     if (std::adjacent_find(exposure.begin(), exposure.end(), std::greater_equal<>()) != exposure.end())
       curve.fail("exposure", "strictly increasing numbers");
+    if (curve.has("band")) read_band(curve.object("band"), response.curves.back());
   }
   return response;
 }

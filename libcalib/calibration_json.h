@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "libacquire/rig_geometry.h"
+#include "libcalib/drift.h"
 #include "libcalib/response.h"
 
 /// Parts of calibration.json. Internal to libcalib.
@@ -17,6 +18,7 @@ class JsonReader {
  public:
   static JsonReader parse(const std::string& text, const std::string& file);
 
+  bool has(const std::string& key) const { return node_->contains(key); }
   JsonReader object(const std::string& key) const;
   std::vector<JsonReader> objects(const std::string& key, std::size_t max_size) const;
   double number(const std::string& key, double min, double max) const;  ///< finite, within [min, max]
@@ -41,7 +43,11 @@ nlohmann::ordered_json vector_to_json(const glm::dvec3& v);
 nlohmann::ordered_json geometry_to_json(const acquire::RigGeometry& geometry);
 acquire::RigGeometry geometry_from_json(const JsonReader& j);
 
-/// A linear response is stored as its black level, a curve as its 2^bits exposures per channel.
+/// Model, its parameters and points; the factor at each point is written for people and not read.
+nlohmann::ordered_json drift_to_json(const LightDrift& drift);
+LightDrift drift_from_json(const JsonReader& j);
+
+/// A linear response is stored as its black level, a curve as its 2^bits exposures per channel and, where known, its band.
 nlohmann::ordered_json response_to_json(const Response& response);
 Response response_from_json(const JsonReader& j);
 

@@ -6,12 +6,17 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <optional>
 
 #include "libbrdf/error.h"
 #include "libcalib/bracket_samples.h"
+#include "libcalib/merge_finish.h"
+#include "libcalib/merge_kernels.h"
+#include "libcalib/merge_weights.h"
 
 namespace lacquer::calib {
 
@@ -19,74 +24,65 @@ namespace {
 
 using acquire::RawFrame;
 
-/// Values merged together: the linearised values of 16 frames then stay in the first-level cache.
-constexpr std::size_t tile_size = 256;
-/// A censored or floor value further than this many sigmas from what the other exposures say contradicts them and is left out.
-constexpr float contradiction_sigmas = 4;
+constexpr std::size_t max_frames = 64;
+/// Values merged together: their sums stay in the first-level cache. A multiple of 2 and 3, so that channels keep their place.
+constexpr std::size_t tile_size = 768;
 
-/// Slope^2 / 12 of a curve as a function of exposure, 32 steps per octave: quantisation noise of a PREDICTED exposure. Taking it at
-/// the measured value instead would tie the weight to that value's noise.
-class QuantisationNoise {
- public:
-  explicit QuantisationNoise(const std::vector<double>& exposure) : variance_(n_octaves * steps) {
-    for (std::size_t i = 0; i < variance_.size(); ++i) {
-      const double z = std::exp2(min_exponent + (static_cast<double>(i) + 0.5) / steps);
-      const auto above = std::lower_bound(exposure.begin() + 1, exposure.end() - 1, z);
-      const double slope = *above - *(above - 1);
-      variance_[i] = static_cast<float>(slope * slope / 12);
-    }
+void check_response(const Response& response, int bits, acquire::PixelLayout layout) {
+  const auto n_values = std::size_t{1} << bits;
+  if (response.bits != bits)
+    throw Error(ErrorCode::input, fmt::format("response: bits: expected {} as the frames have, got {}", bits, response.bits));
+  if (response.curves.size() != static_cast<std::size_t>(acquire::n_channels(layout)))
+    throw Error(ErrorCode::input, fmt::format("response: curves: expected {} for layout {}, got {}", acquire::n_channels(layout),
+                                              acquire::name_of(layout), response.curves.size()));
+  for (const ResponseCurve& curve : response.curves) {
+    if (curve.exposure.size() != n_values)
+      throw Error(ErrorCode::input, fmt::format("response: curve: expected {} values, got {}", n_values, curve.exposure.size()));
+    for (std::size_t v = 0; v < n_values; ++v)
+      if (!std::isfinite(curve.exposure[v]) || (v > 0 && !(curve.exposure[v] > curve.exposure[v - 1])))
+        throw Error(ErrorCode::input, fmt::format("response: curve: expected finite, strictly increasing values, entry {} is not", v));
   }
-  float operator()(float z) const {
-    const int index = (std::bit_cast<std::int32_t>(z) >> (23 - step_bits)) - ((127 + min_exponent) << step_bits);
-    return variance_[static_cast<std::size_t>(std::clamp(index, 0, n_octaves * steps - 1))];
-  }
-
- private:
-  static constexpr int step_bits = 5, steps = 1 << step_bits, min_exponent = -10, n_octaves = 30;
-  std::vector<float> variance_;
-};
-
-/// One exposure; its variance at exposure z is constant + (shot + relative2 * z) * z + quantisation(z), z >= 0.
-struct Exposure {
-  const std::uint16_t* data;
-  float time;
-  float dark;      ///< mean dark signal, linearised DN
-  float constant;  ///< read noise, dark shot noise and, where linear, quantisation, DN^2
-};
-
-struct ChannelTables {
-  std::vector<float> exposure;  ///< per raw value, one entry more than 2^bits
-  float clipped;                ///< linearised values >= this are clipped
-  float threshold;              ///< exposure at which rounding starts to give a clipped value
-  QuantisationNoise quantisation;
-};
-
-struct Plan {
-  std::vector<Exposure> exposures;  ///< ascending in time
-  std::vector<ChannelTables> channels;
-  bool linear;
-  bool floor_clips;  ///< value 0 is "at most this": no black level keeps negative noise
-  float shot, relative2;
-};
-
-/// What is known of each value of a tile; arrays, so that the loops over values vectorise.
-struct Tile {
-  std::vector<std::array<float, tile_size>> linear;  ///< per exposure: linearised value, dark not subtracted
-  std::array<float, tile_size> sum, time, prediction, precision, weighted;
-  std::array<const ChannelTables*, tile_size> tables;
-  std::array<float, tile_size> clipped, floor;
-  explicit Tile(std::size_t n_exposures) : linear(n_exposures) {}
-};
-
-/// phi(a) / Q(a) of the normal distribution: by how much a value known to lie above a exceeds its mean, in sigmas.
-double mills_ratio(double a) {
-  if (a > 25) return a + 1 / a;  // asymptote; erfc underflows near 37
-  return std::sqrt(2 / 3.14159265358979323846) * std::exp(-a * a / 2) / std::erfc(a / std::sqrt(2.0));
 }
 
-float variance_at(const Plan& plan, const Exposure& e, const ChannelTables& tables, float z) {
-  const float v = e.constant + (plan.shot + plan.relative2 * z) * z;
-  return plan.linear ? v : v + tables.quantisation(z);
+/// The values of an image in stretches whose channels repeat with `period`: rows of a mosaic, else the whole image at once.
+struct Stretches {
+  std::size_t n, size, period;
+  acquire::PixelLayout layout;
+
+  Stretches(int width, int height, acquire::PixelLayout pixel_layout) : layout(pixel_layout) {
+    const std::size_t row = static_cast<std::size_t>(width) * static_cast<std::size_t>(acquire::values_per_pixel(layout));
+    const bool one = layout == acquire::PixelLayout::mono || layout == acquire::PixelLayout::rgb;
+    n = one ? 1 : static_cast<std::size_t>(height);
+    size = one ? row * static_cast<std::size_t>(height) : row;
+    period = layout == acquire::PixelLayout::mono ? 1 : (one ? 3 : 2);
+  }
+  /// Channel of the values i, i + period, ... of a stretch.
+  std::array<std::size_t, 3> channels(std::size_t stretch) const {
+    std::array<std::size_t, 3> channel{};
+    for (std::size_t i = 0; i < period; ++i)
+      channel[i] = static_cast<std::size_t>(layout == acquire::PixelLayout::rgb
+                                                ? acquire::channel_of(layout, 0, 0, static_cast<int>(i))
+                                                : acquire::channel_of(layout, static_cast<int>(i), static_cast<int>(stretch % 2), 0));
+    return channel;
+  }
+  std::size_t tiles_per_stretch() const { return (size + tile_size - 1) / tile_size; }
+
+  /// work(first value, number of values, channels) for every tile, in parallel.
+  template <typename Work>
+  void for_each_tile(const Work& work) const {
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, n * tiles_per_stretch(), 4), [&](const tbb::blocked_range<std::size_t>& tiles) {
+      for (std::size_t tile = tiles.begin(); tile != tiles.end(); ++tile) {
+        const std::size_t stretch = tile / tiles_per_stretch(), start = tile % tiles_per_stretch() * tile_size;
+        work(stretch * size + start, std::min(tile_size, size - start), channels(stretch));
+      }
+    });
+  }
+};
+
+ExposureValues exposure_values(const SensorTables& tables, const RawFrame& frame, std::size_t index, std::size_t first) {
+  const auto basis = time_basis(frame.actual.exposure_s);
+  return {frame.data.data() + first, static_cast<float>(basis[1]), static_cast<float>(basis[2]), std::uint32_t{1} << (index % 32),
+          tables.linear() ? nullptr : tables.table(frame.actual.exposure_s)};
 }
 
 /// Frames by time, equal times by content: any order of the input gives the same bytes.
@@ -100,203 +96,130 @@ std::vector<const RawFrame*> sorted_frames(std::span<const RawFrame> frames) {
   return sorted;
 }
 
-Plan make_plan(std::span<const RawFrame> frames, const Response& response, const NoiseModel& noise) {
-  Plan plan;
-  plan.linear = response.linear;
-  plan.floor_clips = !(noise.black_level_dn > 0);
-  plan.shot = static_cast<float>(1 / noise.gain_e_per_dn);
-  plan.relative2 = static_cast<float>(noise.relative_noise * noise.relative_noise);
-  for (const RawFrame* f : sorted_frames(frames)) {
-    const double t = f->actual.exposure_s, g = noise.gain_e_per_dn, dark_e = noise.dark_current_e_per_s * t;
-    const double constant = (noise.read_noise_e * noise.read_noise_e + dark_e) / (g * g) + (response.linear ? 1.0 / 12 : 0.0);
-    plan.exposures.push_back(
-        {f->data.data(), static_cast<float>(t), static_cast<float>(dark_e / g), static_cast<float>(constant)});
-  }
-  const int saturation = saturation_value(noise, response.bits);
-  for (const ResponseCurve& curve : response.curves) {
-    const auto s = static_cast<std::size_t>(saturation);
-    plan.channels.push_back({{curve.exposure.begin(), curve.exposure.end()},
-                             static_cast<float>(curve.exposure[s]),
-                             static_cast<float>((curve.exposure[s] + curve.exposure[s - 1]) / 2),
-                             QuantisationNoise(curve.exposure)});
-  }
-  return plan;
+void check_count(std::size_t n) {
+  if (n > max_frames)
+    throw Error(ErrorCode::input, fmt::format("bracket: expected at most {} frames, got {}; average repeated exposures first", max_frames, n));
 }
 
-void linearise(const Plan& plan, std::size_t first, std::size_t n, Tile& tile) {
-  for (std::size_t i = 0; i < n; ++i) {
-    tile.clipped[i] = tile.tables[i]->clipped;
-    // Largest linearised value that is only an upper bound.
-    tile.floor[i] = plan.floor_clips ? tile.tables[i]->exposure[0] : -1e30f;
-  }
-  for (std::size_t j = 0; j < plan.exposures.size(); ++j) {
-    const std::uint16_t* data = plan.exposures[j].data + first;
-    float* linear = tile.linear[j].data();
-    if (plan.linear) {
-      const float offset = plan.channels[0].exposure[0];
-      for (std::size_t i = 0; i < n; ++i) linear[i] = static_cast<float>(static_cast<int>(data[i])) + offset;
-    } else {
-      for (std::size_t i = 0; i < n; ++i) linear[i] = tile.tables[i]->exposure[data[i]];
-    }
-  }
-}
-
-/// First estimate: all light over all time. For a shot-noise sensor that is nearly optimal, and its weights do not depend on values.
-void predict(const Plan& plan, std::size_t n, Tile& tile) {
-  // Restricted pointers and selections without branches: the inner loops vectorise.
-  float* __restrict sum = tile.sum.data();
-  float* __restrict time = tile.time.data();
-  const float* __restrict clipped = tile.clipped.data();
-  const float* __restrict floor = tile.floor.data();
-  std::fill_n(sum, n, 0.0f);
-  std::fill_n(time, n, 0.0f);
-  for (std::size_t j = 0; j < plan.exposures.size(); ++j) {
-    const float t = plan.exposures[j].time, dark = plan.exposures[j].dark;
-    const float* __restrict linear = tile.linear[j].data();
-    for (std::size_t i = 0; i < n; ++i) {
-      const float usable = (linear[i] < clipped[i] ? 1.0f : 0.0f) * (linear[i] > floor[i] ? 1.0f : 0.0f);
-      sum[i] += usable * (linear[i] - dark);
-      time[i] += usable * t;
-    }
-  }
-  for (std::size_t i = 0; i < n; ++i) tile.prediction[i] = time[i] > 0 ? std::max(sum[i] / time[i], 0.0f) : 0.0f;
-}
-
-/// Weighted sums with the inverse of the variance predicted for each exposure.
-void weigh(const Plan& plan, std::size_t n, Tile& tile) {
-  float* __restrict precision = tile.precision.data();
-  float* __restrict weighted = tile.weighted.data();
-  const float* __restrict prediction = tile.prediction.data();
-  const float* __restrict clipped = tile.clipped.data();
-  const float* __restrict floor = tile.floor.data();
-  std::array<float, tile_size> quantisation{};
-  std::fill_n(precision, n, 0.0f);
-  std::fill_n(weighted, n, 0.0f);
-  constexpr float contradiction2 = contradiction_sigmas * contradiction_sigmas;
-  const float shot = plan.shot, relative2 = plan.relative2;
-  for (std::size_t j = 0; j < plan.exposures.size(); ++j) {
-    const float t = plan.exposures[j].time, dark = plan.exposures[j].dark, constant = plan.exposures[j].constant;
-    const float* __restrict linear = tile.linear[j].data();
-    if (!plan.linear)
-      for (std::size_t i = 0; i < n; ++i) quantisation[i] = tile.tables[i]->quantisation(prediction[i] * t);
-    for (std::size_t i = 0; i < n; ++i) {
-      const float z = prediction[i] * t, variance = constant + (shot + relative2 * z) * z + quantisation[i];
-      // A value at the floor counts where the prediction is near the floor too.
-      const float at_floor = linear[i] > floor[i] ? 0.0f : 1.0f, far_from_floor = z * z < contradiction2 * variance ? 0.0f : 1.0f;
-      const float w = (linear[i] < clipped[i] ? t : 0.0f) * (1 - at_floor * far_from_floor) / variance;
-      precision[i] += w * t;
-      weighted[i] += w * (linear[i] - dark);
-    }
-  }
-}
-
-/// Adds the clipped exposures near the threshold as lower bounds: maximises the censored Gaussian likelihood by Newton's method (it is
-/// log-concave). In: mean and precision of the values that are not clipped.
-void add_lower_bounds(const Plan& plan, const Tile& tile, std::size_t i, double& mean, double& precision) {
-  struct Bound {
-    double time, threshold, sigma;
-  };
-  std::array<Bound, 8> bounds;  // exposures whose clipping is in doubt: few, since times differ
-  std::size_t n = 0;
-  const ChannelTables& tables = *tile.tables[i];
-  for (std::size_t j = 0; j < plan.exposures.size() && n < bounds.size(); ++j) {
-    if (tile.linear[j][i] < tile.clipped[i]) continue;
-    const Exposure& e = plan.exposures[j];
-    const double z = mean * e.time, threshold = tables.threshold - e.dark;
-    const double sigma = std::sqrt(variance_at(plan, e, tables, static_cast<float>(std::max(z, 0.0))));
-    const double doubt = std::sqrt(sigma * sigma + e.time * e.time / precision);
-    if (z - threshold > contradiction_sigmas * doubt) break;  // certainly clipped, and so are all longer ones
-    if (threshold - z > contradiction_sigmas * doubt) continue;
-    bounds[n++] = {e.time, threshold, sigma};
-  }
-  double x = mean, information = precision;
-  for (int iteration = 0; n > 0 && iteration < 20; ++iteration) {
-    double score = precision * (mean - x);
-    information = precision;
-    for (std::size_t k = 0; k < n; ++k) {
-      const double a = (bounds[k].threshold - x * bounds[k].time) / bounds[k].sigma, lambda = mills_ratio(a);
-      const double t = bounds[k].time / bounds[k].sigma;
-      score += lambda * t;
-      information += lambda * (lambda - a) * t * t;
-    }
-    const double step = score / information;
-    x += step;
-    if (step * step * information < 1e-6) break;  // a thousandth of a sigma
-  }
-  mean = x;
-  precision = information;
-}
-
-void store(const Plan& plan, std::size_t first, std::size_t n, const Tile& tile, RadianceImage& image) {
-  for (std::size_t i = 0; i < n; ++i) {
-    PixelFlag flag = PixelFlag::valid;
-    double value, variance;
-    if (tile.precision[i] > 0) {
-      double precision = tile.precision[i];
-      value = tile.weighted[i] / tile.precision[i];
-      if (tile.linear.back()[i] >= tile.clipped[i]) add_lower_bounds(plan, tile, i, value, precision);
-      variance = 1 / precision;
-      if (value * std::abs(value) < variance) flag = PixelFlag::dark;
-    } else {
-      const Exposure& shortest = plan.exposures.front();
-      const float bound = std::max(tile.tables[i]->threshold - shortest.dark, 0.0f);
-      value = bound / shortest.time;
-      variance = variance_at(plan, shortest, *tile.tables[i], bound) / (shortest.time * shortest.time);
-      flag = PixelFlag::clipped;
-    }
-    image.radiance[first + i] = static_cast<float>(value);
-    image.variance[first + i] = static_cast<float>(variance);
-    image.flags[first + i] = flag;
-  }
-}
-
-void check_response(const Response& response, const RawFrame& frame) {
-  const auto n_values = std::size_t{1} << frame.bits;
-  if (response.bits != frame.bits)
-    throw Error(ErrorCode::input, fmt::format("response: bits: expected {} as the frames have, got {}", frame.bits, response.bits));
-  if (response.curves.size() != static_cast<std::size_t>(acquire::n_channels(frame.layout)))
-    throw Error(ErrorCode::input, fmt::format("response: curves: expected {} for layout {}, got {}", acquire::n_channels(frame.layout),
-                                              acquire::name_of(frame.layout), response.curves.size()));
-  for (const ResponseCurve& curve : response.curves) {
-    if (curve.exposure.size() != n_values)
-      throw Error(ErrorCode::input, fmt::format("response: curve: expected {} values, got {}", n_values, curve.exposure.size()));
-    for (std::size_t v = 0; v < n_values; ++v)
-      if (!std::isfinite(curve.exposure[v]) || (v > 0 && !(curve.exposure[v] > curve.exposure[v - 1])))
-        throw Error(ErrorCode::input, fmt::format("response: curve: expected finite, strictly increasing values, entry {} is not", v));
-  }
+void resize(RadianceImage& image, const RawFrame& frame) {
+  image.width = frame.width, image.height = frame.height, image.layout = frame.layout;
+  image.radiance.resize(frame.data.size());
+  image.variance.resize(frame.data.size());
+  image.flags.resize(frame.data.size());
 }
 
 }  // namespace
 
-RadianceImage merge_bracket(std::span<const RawFrame> frames, const Response& response, const NoiseModel& noise) {
-  check_bracket(frames);
-  const RawFrame& frame = frames.front();
-  check_response(response, frame);
+void merge_bracket(std::span<const RawFrame> frames, const Response& response, const NoiseModel& noise, const SensorMaps& maps,
+                   RadianceImage& image) {
+  check_bracket_format(frames);
+  check_count(frames.size());
+  const RawFrame& format = frames.front();
+  check_response(response, format.bits, format.layout);
   noise.validate();
-  const Plan plan = make_plan(frames, response, noise);
+  if (!maps.empty()) maps.validate(format.width, format.height, format.layout);
 
-  RadianceImage image{frame.width, frame.height, frame.layout, {}, {}, {}};
-  image.radiance.resize(frame.data.size());
-  image.variance.resize(frame.data.size());
-  image.flags.resize(frame.data.size());
-  const int per_pixel = acquire::values_per_pixel(frame.layout);
-  const std::size_t row_size = static_cast<std::size_t>(frame.width) * static_cast<std::size_t>(per_pixel);
-  tbb::parallel_for(tbb::blocked_range<int>(0, frame.height), [&](const tbb::blocked_range<int>& rows) {
-    Tile tile(plan.exposures.size());
-    for (int y = rows.begin(); y != rows.end(); ++y)
-      for (std::size_t start = 0; start < row_size; start += tile_size) {
-        const std::size_t n = std::min(tile_size, row_size - start), first = static_cast<std::size_t>(y) * row_size + start;
-        for (std::size_t i = 0; i < n; ++i) {
-          const auto k = static_cast<int>((start + i) % static_cast<std::size_t>(per_pixel));
-          const auto x = static_cast<int>((start + i) / static_cast<std::size_t>(per_pixel));
-          tile.tables[i] = &plan.channels[static_cast<std::size_t>(acquire::channel_of(frame.layout, x, y, k))];
-        }
-        linearise(plan, first, n, tile);
-        predict(plan, n, tile);
-        weigh(plan, n, tile);
-        store(plan, first, n, tile, image);
-      }
+  const auto sorted = sorted_frames(frames);
+  std::vector<double> times;
+  for (const RawFrame* f : sorted) times.push_back(f->actual.exposure_s);
+  const SensorTables tables(response, noise, times.front());
+  const MergeFinish finish(tables, noise, times, maps);
+  resize(image, format);
+  const Stretches stretches(format.width, format.height, format.layout);
+  const std::size_t planes = (frames.size() + 31) / 32;
+  std::atomic<bool> in_range = true;
+  stretches.for_each_tile([&](std::size_t first, std::size_t n, const std::array<std::size_t, 3>& channels) {
+    alignas(64) std::array<std::array<float, tile_size>, n_sums> sums;
+    alignas(64) std::array<std::array<std::uint32_t, tile_size>, 2> usable;
+    for (auto& s : sums) std::fill_n(s.begin(), n, 0.0f);
+    for (std::size_t p = 0; p < 2; ++p) std::fill_n(usable[p].begin(), p < planes ? n : 0, 0u);
+    const ValueMeaning meaning = tables.meaning(channels, stretches.period);
+    std::array<ExposureValues, max_frames> exposures;
+    for (std::size_t j = 0; j < sorted.size(); ++j) exposures[j] = exposure_values(tables, *sorted[j], j, first);
+    for (std::size_t p = 0; p < planes; ++p) {
+      const SumsView view{{sums[0].data(), sums[1].data(), sums[2].data()}, usable[p].data()};
+      if (!add_exposures(&exposures[32 * p], std::min<std::size_t>(sorted.size() - 32 * p, 32), n, meaning, view)) in_range = false;
+    }
+    finish.store({{sums[0].data(), sums[1].data(), sums[2].data()}, usable[0].data(), planes > 1 ? usable[1].data() : nullptr}, first, n,
+                 channels, stretches.period, image);
   });
+  if (!in_range) check_bracket(frames);  // throws, naming the frame
+}
+
+RadianceImage merge_bracket(std::span<const RawFrame> frames, const Response& response, const NoiseModel& noise, const SensorMaps& maps) {
+  RadianceImage image;
+  merge_bracket(frames, response, noise, maps, image);
+  return image;
+}
+
+struct BracketMerger::State {
+  Response response;
+  NoiseModel noise;
+  SensorMaps maps;
+  std::vector<double> planned_times;
+  std::optional<SensorTables> tables;  ///< made with the first frame of the first view
+  RawFrame format;                     ///< of the view; without its data
+  std::vector<double> times;           ///< of the frames so far
+  std::array<std::vector<float>, n_sums> sums;
+  std::array<std::vector<std::uint32_t>, 2> usable;
+};
+
+BracketMerger::BracketMerger(const Response& response, const NoiseModel& noise, std::vector<double> planned_times, SensorMaps maps)
+    : state_(new State{response, noise, std::move(maps), std::move(planned_times), {}, {}, {}, {}, {}}) {
+  if (state_->planned_times.empty()) throw Error(ErrorCode::input, "bracket: expected at least one frame, got none");
+  check_count(state_->planned_times.size());
+  noise.validate();
+}
+
+BracketMerger::~BracketMerger() = default;
+
+std::size_t BracketMerger::n_frames() const { return state_->times.size(); }
+
+void BracketMerger::add(const RawFrame& frame) {
+  State& s = *state_;
+  const std::size_t index = s.times.size(), n_planned = s.planned_times.size();
+  if (index >= n_planned) throw Error(ErrorCode::input, fmt::format("bracket: expected {} frames as planned, got one more", n_planned));
+  check_frame_format(frame, index == 0 ? frame : s.format, index, n_planned);
+  if (index == 0) {
+    check_response(s.response, frame.bits, frame.layout);
+    if (!s.maps.empty()) s.maps.validate(frame.width, frame.height, frame.layout);
+    s.format = {frame.width, frame.height, frame.layout, frame.bits, {}, frame.actual};
+    for (auto& sum : s.sums) sum.assign(frame.data.size(), 0.0f);
+    for (std::size_t p = 0; p < 2; ++p) s.usable[p].assign(n_planned > 32 * p ? frame.data.size() : 0, 0u);
+  }
+  const double shortest_planned = *std::min_element(s.planned_times.begin(), s.planned_times.end());
+  if (!s.tables) s.tables.emplace(s.response, s.noise, shortest_planned);
+  const Stretches stretches(frame.width, frame.height, frame.layout);
+  std::atomic<bool> in_range = true;
+  stretches.for_each_tile([&](std::size_t first, std::size_t n, const std::array<std::size_t, 3>& channels) {
+    const SumsView view{{s.sums[0].data() + first, s.sums[1].data() + first, s.sums[2].data() + first},
+                        s.usable[index / 32].data() + first};
+    const ExposureValues exposure = exposure_values(*s.tables, frame, index, first);
+    if (!add_exposures(&exposure, 1, n, s.tables->meaning(channels, stretches.period), view)) in_range = false;
+  });
+  if (!in_range) {
+    s.times.clear();  // the sums are spoilt: the view begins anew
+    check_frame_values(frame, index, n_planned);
+  }
+  s.times.push_back(frame.actual.exposure_s);
+}
+
+RadianceImage BracketMerger::finish() {
+  State& s = *state_;
+  if (s.times.empty()) throw Error(ErrorCode::input, "bracket: expected at least one frame, got none");
+  const MergeFinish finish(*s.tables, s.noise, s.times, s.maps);
+  RadianceImage image{s.format.width, s.format.height, s.format.layout, {}, {}, {}};
+  image.radiance.resize(s.sums[0].size());
+  image.variance.resize(s.sums[0].size());
+  image.flags.resize(s.sums[0].size());
+  const Stretches stretches(image.width, image.height, image.layout);
+  stretches.for_each_tile([&](std::size_t first, std::size_t n, const std::array<std::size_t, 3>& channels) {
+    finish.store({{s.sums[0].data() + first, s.sums[1].data() + first, s.sums[2].data() + first},
+                  s.usable[0].data() + first,
+                  s.times.size() > 32 ? s.usable[1].data() + first : nullptr},
+                 first, n, channels, stretches.period, image);
+  });
+  s.times.clear();
   return image;
 }
 

@@ -1,9 +1,10 @@
 #include "libcalib/merge_session.h"
 
 #include <algorithm>
-#include <filesystem>
+#include <future>
+#include <utility>
 
-#include "libcalib/merge.h"
+#include "libcalib/calibration_darks.h"
 #include "libcalib/response.h"
 
 namespace lacquer::calib {
@@ -19,13 +20,12 @@ std::vector<acquire::RawFrame> read_bracket(const acquire::Session& session, con
   return frames;
 }
 
-}  // namespace
-
-void estimate_session_response(const acquire::Session& session, Calibration& calibration) {
+void estimate_sensor_response(const acquire::Session& session, Calibration& calibration) {
   // The first views see most of the lit side: spread over the first half of the session.
-  const std::size_t n = session.views.size(), n_used = std::min(response_views, n);
+  const std::vector<std::size_t> views = session.views_of(acquire::ViewKind::measurement);
+  const std::size_t n = views.size(), n_used = std::min(response_views, n);
   std::vector<std::vector<acquire::RawFrame>> brackets;
-  for (std::size_t i = 0; i < n_used; ++i) brackets.push_back(read_bracket(session, session.views[i * ((n + 1) / 2) / n_used]));
+  for (std::size_t i = 0; i < n_used; ++i) brackets.push_back(read_bracket(session, session.views[views[i * ((n + 1) / 2) / n_used]]));
 
   ResponseOptions options;
   options.black_level_dn = calibration.noise.black_level_dn;
@@ -39,13 +39,59 @@ void estimate_session_response(const acquire::Session& session, Calibration& cal
   calibration.scale_source = "none: relative, the gauge of the estimated response is arbitrary";
 }
 
-void merge_session(const acquire::Session& session, const Calibration& calibration, const Progress& progress) {
-  std::filesystem::create_directories(session.folder / "radiance");
-  for (std::size_t i = 0; i < session.views.size(); ++i) {
-    const auto& view = session.views[i];
-    write_radiance(session.radiance_path(view), merge_bracket(read_bracket(session, view), calibration.response, calibration.noise));
-    if (progress) progress("merge", i + 1, session.views.size());
+}  // namespace
+
+bool sensor_needs_session(const acquire::RigDescription& rig) {
+  const auto is_dark = [](const acquire::PlannedView& view) { return view.kind == acquire::ViewKind::dark; };
+  return rig.sensor.response != acquire::SensorDescription::Response::linear || std::any_of(rig.plan.begin(), rig.plan.end(), is_dark);
+}
+
+Calibration sensor_calibration(const acquire::Session& session, const Progress& progress) {
+  Calibration calibration = calibration_from_rig(session.rig);
+  apply_dark_views(session, calibration, progress);
+  if (session.rig.sensor.response == acquire::SensorDescription::Response::linear) return calibration;
+  estimate_sensor_response(session, calibration);
+  if (!calibration.response.linear) apply_dark_views(session, calibration, progress);  // again, in units of the curve
+  return calibration;
+}
+
+SessionMerger::SessionMerger(const acquire::RigDescription& rig, std::filesystem::path folder, const Calibration& calibration)
+    : calibration_(calibration), folder_(std::move(folder)), follower_(rig) {}
+
+void SessionMerger::add(const acquire::ViewRecord& view, const acquire::RawFrame& frame, const std::vector<double>& planned_times) {
+  if (view.kind == acquire::ViewKind::dark) return;
+  if (!merger_ || planned_times != times_) merger_.emplace(calibration_.response, calibration_.noise, planned_times, calibration_.maps);
+  times_ = planned_times;
+  merger_->add(frame);
+}
+
+void SessionMerger::finish_view(const acquire::ViewRecord& view) {
+  if (view.kind == acquire::ViewKind::dark) return;
+  const RadianceImage image = merger_->finish();
+  std::filesystem::create_directories(folder_ / "radiance");
+  write_radiance(folder_ / "radiance" / (view.id + ".exr"), image);
+  follower_.add(view, image);
+}
+
+void merge_session(const acquire::Session& session, Calibration& calibration, const Progress& progress) {
+  SessionMerger merger(session.rig, session.folder, calibration);
+  std::vector<std::pair<std::size_t, const acquire::FrameRecord*>> records;
+  for (std::size_t v = 0; v < session.views.size(); ++v)
+    if (session.views[v].kind != acquire::ViewKind::dark)
+      for (const acquire::FrameRecord& record : session.views[v].frames) records.emplace_back(v, &record);
+  // The next frame is read while one is merged.
+  const auto read = [&](std::size_t k) { return acquire::read_session_frame(session, *records[k].second); };
+  std::future<acquire::RawFrame> next = std::async(std::launch::async, read, std::size_t{0});
+  for (std::size_t k = 0; k < records.size(); ++k) {
+    const acquire::RawFrame frame = next.get();
+    if (k + 1 < records.size()) next = std::async(std::launch::async, read, k + 1);
+    const std::size_t v = records[k].first;
+    merger.add(session.views[v], frame, session.rig.plan[v].exposures_s);
+    if (k + 1 < records.size() && records[k + 1].first == v) continue;
+    merger.finish_view(session.views[v]);
+    if (progress) progress("merge", v + 1, session.views.size());
   }
+  merger.finish(calibration);
 }
 
 }  // namespace lacquer::calib

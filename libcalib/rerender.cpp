@@ -128,7 +128,7 @@ cv::Mat picture_row(const RadianceImage& image, const Sampler::Prediction& predi
 std::vector<std::size_t> views_to_picture(const acquire::Session& session, const Calibration& calibration, int n) {
   const glm::dvec3 camera = calibration.geometry.cam_from_rig.inverse() * glm::dvec3(0);
   std::vector<std::size_t> lit, chosen;
-  for (std::size_t i = 0; i < session.views.size(); ++i) {
+  for (const std::size_t i : session.views_of(acquire::ViewKind::measurement)) {
     const auto& view = session.views[i];
     const auto light = calibration.geometry.place_light(static_cast<std::size_t>(view.light), view.turntable_angle);
     const glm::dvec3 towards = light.distant ? light.direction : glm::normalize(light.position);
@@ -144,24 +144,24 @@ std::vector<std::size_t> views_to_picture(const acquire::Session& session, const
 std::vector<ViewError> rerender_session(const acquire::Session& session, const Calibration& calibration, const brdf::Brdf& paint,
                                         const RerenderOptions& options, const std::filesystem::path& picture, const Progress& progress) {
   const Sampler sampler(calibration, session.rig.mask, session.rig.sensor.layout, options.samples);
-  const std::size_t n_views = session.views.size();
+  const std::vector<std::size_t> views = session.views_of(acquire::ViewKind::measurement);
   const std::vector<std::size_t> pictured = views_to_picture(session, calibration, options.n_pictured);
   std::vector<ViewError> errors;
   std::vector<cv::Mat> rows;
-  for (std::size_t i = 0; i < n_views; ++i) {
-    const auto& view = session.views[i];
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    const auto& view = session.views[views[i]];
     const RadianceImage image = read_radiance(session.radiance_path(view));
-    const auto prediction = sampler.predict_view(paint, static_cast<std::size_t>(view.light), view.turntable_angle);
+    const auto prediction = sampler.predict_view(paint, illumination_of(view, calibration));
     if (prediction.radiance.size() != image.radiance.size())
       throw Error(ErrorCode::input, fmt::format("{}: size or layout differs from the session's camera", session.radiance_path(view).string()));
     errors.push_back(view_error(image, prediction));
     errors.back().view = view.id;
-    if (!picture.empty() && std::find(pictured.begin(), pictured.end(), i) != pictured.end()) {
+    if (!picture.empty() && std::find(pictured.begin(), pictured.end(), views[i]) != pictured.end()) {
       const std::string label = fmt::format("{}: photograph | re-rendering | difference (+-25 % of white)   rel. RMS {:.1f} %", view.id,
                                             100 * errors.back().relative_rms);
       rows.push_back(picture_row(image, prediction, calibration, label));
     }
-    if (progress) progress("re-render", i + 1, n_views);
+    if (progress) progress("re-render", i + 1, views.size());
   }
   if (!rows.empty()) {
     cv::Mat all;

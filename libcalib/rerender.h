@@ -24,7 +24,7 @@ struct RerenderOptions {
   int n_pictured = 4;  ///< views in the picture, spread evenly over the session
 };
 
-/// Renders every view of a session with `paint` and the session's calibration and compares it with the merged photograph.
+/// Renders every measurement view of a session with `paint` and the session's calibration and compares it with the merged photograph.
 /// `picture` (unless empty): PNG, a row per pictured view: photograph, re-rendering, difference (grey: none, red: rendering too
 /// bright, blue: too dark, full colour at +-25 % of the photograph's white). Both images of a row share one exposure, sRGB-coded.
 std::vector<ViewError> rerender_session(const acquire::Session& session, const Calibration& calibration, const brdf::Brdf& paint,

@@ -10,6 +10,7 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "libbrdf/error.h"
+#include "libcalib/drift_session.h"
 
 namespace lacquer::calib {
 
@@ -103,7 +104,17 @@ bool unresolved(const brdf::Footprint<double>& v, double theta_h, double narrowe
   return larger > narrow2 && theta_h * theta_h < 9 * (narrow2 + 2 * larger);
 }
 
+acquire::PlacedLight placed_light(const Calibration& calibration, const Illumination& lighting) {
+  acquire::PlacedLight placed = calibration.geometry.place_light(lighting.light, lighting.turntable_angle);
+  placed.intensity *= lighting.factor;
+  return placed;
+}
+
 }  // namespace
+
+Illumination illumination_of(const acquire::ViewRecord& view, const Calibration& calibration) {
+  return {static_cast<std::size_t>(view.light), view.turntable_angle, calibration.light_factor(view).factor};
+}
 
 void SampleOptions::validate() const {
   if (!(min_cosine > 0 && min_cosine < 1)) throw Error(ErrorCode::usage, "min_cosine: expected a number in (0, 1)");
@@ -155,14 +166,14 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
   }
 }
 
-SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light, double turntable_angle, const Sink& sink) const {
+SampleCounts Sampler::sample_view(const RadianceImage& image, const Illumination& lighting, const Sink& sink) const {
   const auto& camera = calibration_.geometry.camera;
   if (image.width != camera.width || image.height != camera.height || image.layout != layout_)
     throw Error(ErrorCode::input, fmt::format("radiance image: expected {}x{} {}, got {}x{} {}", camera.width, camera.height,
                                               name_of(layout_), image.width, image.height, name_of(image.layout)));
-  const acquire::PlacedLight placed = calibration_.geometry.place_light(light, turntable_angle);
+  const acquire::PlacedLight placed = placed_light(calibration_, lighting);
   const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(layout_));
-  const double reference = calibration_.geometry.lights[light].distant
+  const double reference = placed.distant
                                ? 1.0
                                : 1.0 / glm::dot(placed.position, placed.position);  // irradiance per intensity at the sphere's centre
 
@@ -227,9 +238,9 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, std::size_t light,
   return counts;
 }
 
-Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, std::size_t light, double turntable_angle) const {
+Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, const Illumination& lighting) const {
   const auto& camera = calibration_.geometry.camera;
-  const acquire::PlacedLight placed = calibration_.geometry.place_light(light, turntable_angle);
+  const acquire::PlacedLight placed = placed_light(calibration_, lighting);
   const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(layout_));
   const std::size_t n_values = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height) * per_pixel;
 
@@ -265,17 +276,19 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
   const Sampler sampler(calibration, session.rig.mask, layout, options);
   brdf::TableAccumulator accumulator(static_cast<std::size_t>(acquire::n_channels(layout)));
   SampleCounts counts;
-  for (std::size_t i = 0; i < session.views.size(); ++i) {
-    const auto& view = session.views[i];
+  const std::vector<std::size_t> views = session.views_of(acquire::ViewKind::measurement);
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    const auto& view = session.views[views[i]];
     const RadianceImage image = read_radiance(session.radiance_path(view));
-    counts += sampler.sample_view(image, static_cast<std::size_t>(view.light), view.turntable_angle, [&](std::span<const Sample> samples) {
+    counts += sampler.sample_view(image, illumination_of(view, calibration), [&](std::span<const Sample> samples) {
       for (const Sample& s : samples)
         accumulator.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint);
     });
-    if (progress) progress("tabulate", i + 1, session.views.size());
+    if (progress) progress("tabulate", i + 1, views.size());
   }
   Tabulation result{accumulator.table(true), counts};
   result.table.absolute_scale = calibration.absolute_scale;
+  result.table.scale_sigma = drift_scale_sigma(session, calibration);
   return result;
 }
 

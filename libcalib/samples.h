@@ -44,6 +44,15 @@ struct PixelStep {
   glm::vec3 wo[2];      ///< change of the direction to the camera per pixel
 };
 
+/// What lights a view.
+struct Illumination {
+  std::size_t light = 0;       ///< index into geometry.lights
+  double turntable_angle = 0;  ///< radians
+  double factor = 1;           ///< on the light's intensity: its drift
+};
+/// Of a view of a session, as `calibration` has followed its light.
+Illumination illumination_of(const acquire::ViewRecord& view, const Calibration& calibration);
+
 /// Precomputed per-pixel geometry of a session's fixed camera and sphere; one view at a time is turned into samples.
 class Sampler {
  public:
@@ -54,7 +63,7 @@ class Sampler {
   using Sink = std::function<void(std::span<const Sample>)>;
 
   /// Samples of one view, computed in parallel, delivered in order. Clipped and invalid values are counted, not delivered.
-  SampleCounts sample_view(const RadianceImage& image, std::size_t light, double turntable_angle, const Sink& sink) const;
+  SampleCounts sample_view(const RadianceImage& image, const Illumination& lighting, const Sink& sink) const;
 
   /// Radiance (linearised DN per second) that `paint`, seen through the footprint of each pixel, would give in each value of the image;
   /// 0 where sample_view would give no
@@ -63,7 +72,7 @@ class Sampler {
     std::vector<float> radiance;
     std::vector<bool> used;
   };
-  Prediction predict_view(const brdf::Brdf& paint, std::size_t light, double turntable_angle) const;
+  Prediction predict_view(const brdf::Brdf& paint, const Illumination& lighting) const;
 
  private:
   struct Pixel {
@@ -79,7 +88,7 @@ class Sampler {
   std::vector<Pixel> pixels_;
 };
 
-/// Radiance images of a session -> half-angle table, one image in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d
+/// Radiance images of a session's measurement views -> half-angle table, one image in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d
 /// was measured take its value, flagged `symmetric`. Errors{file} from missing radiance images name the file.
 struct Tabulation {
   brdf::HalfAngleTable table;

@@ -1,13 +1,18 @@
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <functional>
 #include <random>
 #include <vector>
 
 #include "libacquire/frame.h"
+#include "libcalib/noise_model.h"
+#include "libcalib/radiance_image.h"
 
 /// A sensor written down independently of libacquire's simulated camera: photons -> electrons -> curve -> rounding -> clipping.
 namespace lacquer::test {
@@ -68,6 +73,27 @@ inline std::vector<double> time_series(double first, double ratio, int n) {
   std::vector<double> times;
   for (int i = 0; i < n; ++i) times.push_back(first * std::pow(ratio, i));
   return times;
+}
+
+/// 0.25 .. 328 ms, the series of Günther et al. 2005.
+inline std::vector<double> paper_times() { return time_series(0.25e-3, std::pow(328 / 0.25, 1.0 / 15), 16); }
+
+/// The noise of a sensor as the library states it.
+inline calib::NoiseModel noise_of(const SensorTruth& s) {
+  calib::NoiseModel n;
+  n.black_level_dn = s.black;
+  n.gain_e_per_dn = s.gain;
+  n.read_noise_e = s.read_noise;
+  n.dark_current_e_per_s = s.dark_current;
+  return n;
+}
+
+/// Every byte of radiance and variance, and the flags.
+inline void expect_same_bytes(const calib::RadianceImage& a, const calib::RadianceImage& b) {
+  ASSERT_EQ(a.radiance.size(), b.radiance.size());
+  EXPECT_EQ(0, std::memcmp(a.radiance.data(), b.radiance.data(), a.radiance.size() * sizeof(float)));
+  EXPECT_EQ(0, std::memcmp(a.variance.data(), b.variance.data(), a.variance.size() * sizeof(float)));
+  EXPECT_EQ(a.flags, b.flags);
 }
 
 }  // namespace lacquer::test

@@ -16,18 +16,9 @@ namespace {
 using acquire::PixelLayout;
 using acquire::RawFrame;
 using test::SensorTruth;
-
-/// 0.25 .. 328 ms, the series of Günther et al. 2005.
-std::vector<double> paper_times() { return test::time_series(0.25e-3, std::pow(328 / 0.25, 1.0 / 15), 16); }
-
-NoiseModel noise_of(const SensorTruth& s) {
-  NoiseModel n;
-  n.black_level_dn = s.black;
-  n.gain_e_per_dn = s.gain;
-  n.read_noise_e = s.read_noise;
-  n.dark_current_e_per_s = s.dark_current;
-  return n;
-}
+using test::expect_same_bytes;
+using test::noise_of;
+using test::paper_times;
 
 RawFrame frame(int width, int height, double time, std::vector<std::uint16_t> data, int bits = 8) {
   return {width, height, PixelLayout::mono, bits, std::move(data), {time, 0}};
@@ -65,13 +56,6 @@ Statistics statistics(const std::vector<RawFrame>& frames, const SensorTruth& s,
   }
   const double mean = sum / n;
   return {mean, std::sqrt(squares / n - mean * mean), std::sqrt(error / n), std::sqrt(ideal / n)};
-}
-
-void expect_same_bytes(const RadianceImage& a, const RadianceImage& b) {
-  ASSERT_EQ(a.radiance.size(), b.radiance.size());
-  EXPECT_EQ(0, std::memcmp(a.radiance.data(), b.radiance.data(), a.radiance.size() * sizeof(float)));
-  EXPECT_EQ(0, std::memcmp(a.variance.data(), b.variance.data(), a.variance.size() * sizeof(float)));
-  EXPECT_EQ(a.flags, b.flags);
 }
 
 std::string error_of(const std::vector<RawFrame>& frames, const Response& response, const NoiseModel& noise = {}) {
@@ -149,7 +133,7 @@ TEST(Merge, WeighsTwoExposuresAsComputedByHand) {
   const RadianceImage image = merge_bracket(std::vector{frame(1, 1, 1, {50}), frame(1, 1, 2, {120})}, linear_response(8, 1, 0), noise);
   const double p1 = 1 / 56.75, p2 = 4 / 113.416667;
   EXPECT_NEAR(image.radiance[0], (p1 * 50 + p2 * 60) / (p1 + p2), 1e-4);
-  EXPECT_NEAR(image.variance[0], 1 / (p1 + p2), 1e-4);
+  EXPECT_NEAR(image.variance[0], 1 / (p1 + p2), 1e-3);  // 5e-5: the variance is a straight line within a quarter octave of radiance
   EXPECT_EQ(image.flags[0], PixelFlag::valid);
 }
 
@@ -235,7 +219,8 @@ TEST(Merge, MosaicAndRgbUseTheCurveOfTheirChannel) {
   mosaic.layout = PixelLayout::bayer_grbg;
   const auto from_mosaic = merge_bracket(std::vector{mosaic}, response, {});
   // G R G / B G B / G R G
-  EXPECT_EQ(from_mosaic.radiance, (std::vector<float>{200, 100, 200, 300, 200, 300, 200, 100, 200}));
+  const float expected[] = {200, 100, 200, 300, 200, 300, 200, 100, 200};
+  for (std::size_t i = 0; i < 9; ++i) EXPECT_FLOAT_EQ(from_mosaic.radiance[i], expected[i]) << i;
 }
 
 TEST(Merge, SingleRowsColumnsAndSizesAcrossATileAgreeWithPixelByPixel) {

@@ -51,7 +51,7 @@ RadianceImage constant_image(acquire::PixelLayout layout, float value) {
 
 std::vector<Sample> all_samples(const Sampler& sampler, const RadianceImage& image, SampleCounts* counts = nullptr) {
   std::vector<Sample> all;
-  const SampleCounts c = sampler.sample_view(image, 0, 0.0, [&](std::span<const Sample> s) { all.insert(all.end(), s.begin(), s.end()); });
+  const SampleCounts c = sampler.sample_view(image, {}, [&](std::span<const Sample> s) { all.insert(all.end(), s.begin(), s.end()); });
   if (counts) *counts = c;
   return all;
 }
@@ -140,7 +140,7 @@ TEST(Samples, PredictionIsTheInverseOfSampling) {
   const Calibration calibration = orthographic_rig(false);
   const Sampler sampler(calibration, {}, acquire::PixelLayout::rgb, {});
   const brdf::CookTorranceBrdf paint({glm::dvec3(0.2, 0.3, 0.4), {{glm::dvec3(0.1, 0.2, 0.3), 0.2, 0.5}}});
-  const auto prediction = sampler.predict_view(paint, 0, 0.0);
+  const auto prediction = sampler.predict_view(paint, {});
   RadianceImage image = constant_image(acquire::PixelLayout::rgb, 0.0f);
   image.radiance = prediction.radiance;
   std::size_t n = 0;
