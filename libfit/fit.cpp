@@ -120,6 +120,19 @@ void add_errors(const Observations& observations, FitResult& result) {
   result.rms_log = difference.rms();
 }
 
+/// kd and ks are proportional to the table's scale, m and r do not depend on it: its error is one more, common term of their covariance.
+void add_scale_error(double scale_sigma, FitResult& result) {
+  result.scale_sigma = scale_sigma;
+  const std::size_t n = result.parameters.size();
+  const auto scales = [&](std::size_t i) { return result.parameters[i].name[0] == 'k' && result.parameters[i].sigma > 0; };
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j)
+      if (scales(i) && scales(j))
+        result.covariance[i * n + j] += scale_sigma * scale_sigma * result.parameters[i].value * result.parameters[j].value;
+  for (std::size_t i = 0; i < n; ++i)
+    if (scales(i)) result.parameters[i].sigma = std::sqrt(result.covariance[i * n + i]);
+}
+
 FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& options,
                       const Progress& progress) {
   const ParameterLayout layout{static_cast<int>(table.channels.size()), options.n_lobes};
@@ -155,6 +168,7 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   const glm::dvec3 albedo = normal_incidence_albedo(result.model);
   result.energy = std::max({albedo.x, albedo.y, albedo.z});
   add_uncertainty(objective, layout.pack(result.model), options.min_m, result);
+  add_scale_error(table.scale_sigma, result);
   add_errors(all, result);
   return result;
 }

@@ -65,6 +65,7 @@ struct FitResult {
   std::size_t n_cells_available = 0;  ///< usable cells of the table
   std::size_t n_residuals = 0;        ///< used cells times their channels
   LeftOut left_out;
+  double scale_sigma = 0;  ///< relative standard error of the table's scale; contained in the errors of kd and ks
   double mean_abs_log = 0;  ///< mean |ln(model / mean)| over used cells with positive mean
   double rms_log = 0;
   double reduced_chi2 =

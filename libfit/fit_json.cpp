@@ -88,7 +88,8 @@ std::string fit_to_json(const FitResult& fit, bool absolute_scale, const std::st
          {"kind", "lacquer fit"},
          {"model", "Cook-Torrance, Guenther et al. 2005, Eq. 1"},
          {"unit", absolute_scale ? "1/sr" : "relative"},
-         {"scale", absolute_scale ? "absolute" : "relative"}};
+         {"scale", absolute_scale ? "absolute" : "relative"},
+         {"scale_sigma", fit.scale_sigma}};
   add_model(fit.model, j);
   j["parameters"] = parameters(fit);
   j["covariance"] = covariance(fit);
