@@ -21,6 +21,11 @@ int values_per_pixel(PixelLayout layout);
 /// Channel (0 R or Y, 1 G, 2 B) of the value `k` (0 unless rgb) of pixel (x, y).
 int channel_of(PixelLayout layout, int x, int y, int k);
 
+/// Rectangle of pixels; (x, y) is its first one.
+struct PixelRectangle {
+  int x = 0, y = 0, width = 0, height = 0;
+};
+
 /// Settings of one exposure, as READ BACK from the device.
 struct CaptureSettings {
   double exposure_s = 0;

@@ -16,6 +16,10 @@ Rig open_rig(const RigDescription& description, std::shared_ptr<const brdf::Brdf
 /// vignetting, a noisy clipping sensor and the imperfections of description.simulation. Deterministic for a seed and any thread count.
 Rig open_simulated_rig(const RigDescription& description, std::shared_ptr<const brdf::Brdf> paint);
 
+/// Real devices through the back ends that the rig's [devices] names. The plan is held against what they can do before anything moves.
+/// Nothing lights up or turns. Throws Error {usage, device, timeout}.
+Rig open_hardware_rig(const RigDescription& description);
+
 /// Photographs that exist already: the devices return them in the order of the plan.
 Rig open_replay_rig(const RigDescription& description);
 

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <glm/geometric.hpp>
 
@@ -64,10 +65,11 @@ TomlTable required_table(const TomlTable& root, const char* key, TomlTable::Keys
 void read_kind(const TomlTable& root, RigDescription& rig) {
   const TomlTable table = required_table(root, "rig", {"name", "kind"});
   rig.name = table.string("name");
-  rig.kind = table.choice("kind", {"simulated", "replay"}) == 0 ? RigDescription::Kind::simulated : RigDescription::Kind::replay;
+  using Kind = RigDescription::Kind;
+  rig.kind = std::array{Kind::simulated, Kind::replay, Kind::hardware}[table.choice("kind", {"simulated", "replay", "hardware"})];
   const bool replay = rig.kind == RigDescription::Kind::replay;
   if (root.has("replay") && !replay) root.fail("replay", "only a rig of kind \"replay\" has this table");
-  if (root.has("simulation") && replay) root.fail("simulation", "only a rig of kind \"simulated\" has this table");
+  if (root.has("simulation") && rig.kind != Kind::simulated) root.fail("simulation", "only a rig of kind \"simulated\" has this table");
   if (!root.has("replay") && replay) root.fail("", "[replay]: missing; a rig of kind \"replay\" names its photographs there");
 }
 
@@ -86,11 +88,12 @@ RigFiles locate_files(const TomlTable& root, const fs::path& file, const fs::pat
   return files;
 }
 
-void read_sensor(const TomlTable& root, RigDescription& rig) {
+void read_sensor(const TomlTable& root, const RigFiles& files, RigDescription& rig) {
   SensorDescription& s = rig.sensor;
   const bool simulated = rig.kind == RigDescription::Kind::simulated;
   const auto table = root.table("sensor", {"black_level_dn", "gain_e_per_dn", "read_noise_e", "full_well_e", "dark_current_e_per_s",
-                                           "sensitivity_e_per_s", "vignetting", "lens_blur_px", "response", "gamma"});
+                                           "sensitivity_e_per_s", "vignetting", "lens_blur_px", "response", "gamma", "noise_file",
+                                           "maps_file"});
   if (!table) {
     if (simulated) root.fail("", "[sensor]: missing; a simulated rig needs its sensitivity_e_per_s");
     return;
@@ -109,6 +112,8 @@ void read_sensor(const TomlTable& root, RigDescription& rig) {
   const bool curved = s.response == SensorDescription::Response::gamma;
   if (t.has("gamma") && !curved) t.fail("gamma", "only with response = \"gamma\"");
   if (curved) s.gamma = t.number("gamma", {0.1, 10});
+  if (t.has("noise_file")) s.noise_file = referenced_file(t, "noise_file", files, rig);
+  if (t.has("maps_file")) s.maps_file = referenced_file(t, "maps_file", files, rig);
 }
 
 void read_mask(const TomlTable& root, const RigFiles& files, RigDescription& rig) {
@@ -130,7 +135,8 @@ void read_turntable(const TomlTable& root, RigDescription& rig) {
 void read_simulation(const TomlTable& root, const RigFiles& files, RigDescription& rig) {
   const auto table = root.table("simulation", {"paint", "seed", "axis_tilt_x_deg", "axis_tilt_z_deg", "axis_offset_mm",
                                                "step_error_rms_deg", "readback_noise_rms_deg", "led_drift_per_hour", "led_noise_rms",
-                                               "stray_light", "blur_px", "sphere_offset_mm"});
+                                               "stray_light", "blur_px", "sphere_offset_mm", "prnu", "dsnu_e", "dark_nonuniformity",
+                                               "hot_pixels", "dead_pixels", "patch_radiance"});
   if (!table) return;
   const TomlTable& t = *table;
   SimulationDescription& s = rig.simulation;
@@ -143,29 +149,40 @@ void read_simulation(const TomlTable& root, const RigFiles& files, RigDescriptio
   s.readback_noise_rms = t.number("readback_noise_rms_deg", {0, 10}, 0) * radians_per_degree;
   s.led_drift_per_hour = t.number("led_drift_per_hour", {-0.9, 10}, 0);
   s.led_noise_rms = t.number("led_noise_rms", {0, 0.5}, 0);
+  s.patch_radiance = t.number("patch_radiance", Range::at_least(0), 0);
+  if (s.patch_radiance > 0 && !rig.reference_patch) t.fail("patch_radiance", "only with [reference_patch], which says where it is");
   s.stray_light = t.number("stray_light", {0, 1}, 0);
   s.blur_px = t.number("blur_px", {0, 50}, 0);
   s.sphere_offset = t.vector3("sphere_offset_mm", {-1e3, 1e3}, glm::dvec3(0.0)) * metres_per_mm;
+  s.sensor.prnu = t.number("prnu", {0, 0.2}, 0);
+  s.sensor.dsnu_e = t.number("dsnu_e", {0, 1e6}, 0);
+  s.sensor.dark_nonuniformity = t.number("dark_nonuniformity", {0, 10}, 0);
+  s.sensor.hot_pixels = t.number("hot_pixels", {0, 1}, 0);
+  s.sensor.dead_pixels = t.number("dead_pixels", {0, 1}, 0);
 }
 
 }  // namespace
 
+std::string name_of(ViewKind kind) { return std::array{"measurement", "reference", "dark"}[static_cast<std::size_t>(kind)]; }
+
 RigDescription parse_rig(const std::string& text, const fs::path& file, const fs::path& data_folder) {
   const TomlTable root = TomlTable::parse(text, file.string(), {"rig", "camera", "sensor", "sphere", "mask", "turntable", "lights", "plan",
-                                                                "simulation", "scale", "replay", "copied_files"});
+                                                                "simulation", "scale", "replay", "devices", "reference_patch", "copied_files"});
   RigDescription rig;
   rig.file = file;
   rig.text = text;
   read_kind(root, rig);
   const RigFiles files = locate_files(root, file, data_folder);
   read_camera(root, rig);
-  read_sensor(root, rig);
+  read_sensor(root, files, rig);
   read_mask(root, files, rig);
   read_sphere_and_pose(root, rig);
   read_turntable(root, rig);
   read_lights(root, files, rig);
   read_plan(root, files, rig);
+  read_reference_patch(root, rig);
   read_simulation(root, files, rig);
+  read_devices(root, rig);
   if (const auto scale = root.table("scale", {"absolute"})) rig.absolute_scale = scale->boolean("absolute", true);
   return rig;
 }

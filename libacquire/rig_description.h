@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "libacquire/device_settings.h"
 #include "libacquire/frame.h"
 #include "libacquire/rig_geometry.h"
 
@@ -27,14 +28,36 @@ struct SensorDescription {
   double lens_blur_px = 0;                  ///< sigma of the lens blur as measured, pixels
   enum class Response { linear, gamma, estimate } response = Response::linear;
   double gamma = 1;                         ///< response gamma: DN = max * (linear fraction)^(1/gamma); simulated rig only
+  std::optional<std::filesystem::path> noise_file;  ///< of lacquer calibrate noise: measured, takes the place of the nominal noise
+  std::optional<std::filesystem::path> maps_file;   ///< of the same: offset, dark signal, flat field and bad values
 };
 
-/// One position of the turntable with one light on.
+/// What the photographs of a view are for.
+enum class ViewKind {
+  measurement,
+  reference,  ///< a measurement view taken again, to see what the light does with time
+  dark        ///< all lights off
+};
+
+std::string name_of(ViewKind kind);  ///< "measurement", "reference", "dark"
+
+/// One position of the turntable with one light on, or none.
 struct PlannedView {
   double turntable_angle = 0;        ///< radians
-  int light = 0;                     ///< index into geometry.lights
+  int light = 0;                     ///< index into geometry.lights; -1: dark
   std::vector<double> exposures_s;   ///< ascending
   std::vector<std::filesystem::path> files;  ///< replay: one per exposure, absolute
+  ViewKind kind = ViewKind::measurement;
+  std::string id{};                  ///< "L012": each kind is counted on its own, references R000, dark views D000
+};
+
+/// How the values of a simulated sensor differ from each other; always the same for a seed.
+struct SensorFlaws {
+  double prnu = 0;                ///< relative RMS of the sensitivity, normal, same for a value in every frame
+  double dsnu_e = 0;              ///< RMS electrons of a fixed offset, normal
+  double dark_nonuniformity = 0;  ///< relative RMS of the dark current, log-normal with the nominal mean
+  double hot_pixels = 0;          ///< fraction of values with 300 to 3000 times the dark current (of 1 e-/s at least)
+  double dead_pixels = 0;         ///< fraction of values that do not see light
 };
 
 /// What the simulated rig does differently from the description: the truth, never seen by the pipeline.
@@ -47,9 +70,11 @@ struct SimulationDescription {
   double readback_noise_rms = 0;             ///< radians
   double led_drift_per_hour = 0;             ///< fraction, exponential warm-up drift
   double led_noise_rms = 0;                  ///< fraction, frame to frame
+  double patch_radiance = 0;                 ///< W m^-2 sr^-1 of the reference patch, before the LED's drift and noise; 0: there is none
   double stray_light = 0;                    ///< fraction of the image's mean radiance added everywhere
   double blur_px = 0;                        ///< sigma of the lens blur, pixels
   glm::dvec3 sphere_offset{0.0};             ///< metres, true sphere centre against nominal
+  SensorFlaws sensor{};
 };
 
 /// Which surface points may be used: part of the rig, not of the code.
@@ -66,7 +91,7 @@ struct ReferencedFile {
 
 /// A rig file (TOML), checked: every number finite and in range, unknown keys are errors that name the nearest known key.
 struct RigDescription {
-  enum class Kind { simulated, replay } kind = Kind::simulated;
+  enum class Kind { simulated, replay, hardware } kind = Kind::simulated;
   std::string name;
   std::filesystem::path file;     ///< where it was read from; relative paths in it are relative to its folder
   std::string text;               ///< the file's content, copied into the session
@@ -74,7 +99,9 @@ struct RigDescription {
   SensorDescription sensor;
   MaskDescription mask;
   std::vector<PlannedView> plan;
+  std::optional<PixelRectangle> reference_patch;  ///< a white patch beside the sphere that sees each light alike in every view
   SimulationDescription simulation;
+  DevicesDescription devices;     ///< of a rig of kind hardware
   std::vector<ReferencedFile> referenced_files;  ///< each once
   bool absolute_scale = true;     ///< light intensities and sensitivity are calibrated: f_r comes out in 1/sr
 };

@@ -34,6 +34,11 @@ void read_sphere_and_pose(const TomlTable& root, RigDescription& rig);
 void read_lights(const TomlTable& root, const RigFiles& files, RigDescription& rig);
 /// [plan] and, for photographs, [replay].
 void read_plan(const TomlTable& root, const RigFiles& files, RigDescription& rig);
+/// [reference_patch].
+void read_reference_patch(const TomlTable& root, RigDescription& rig);
+
+/// [devices] of a rig of kind hardware.
+void read_devices(const TomlTable& root, RigDescription& rig);
 
 /// The file exists and is remembered for the session; else an error that names the field.
 std::filesystem::path referenced_file(const TomlTable& table, const char* key, const RigFiles& files, RigDescription& rig);

@@ -1,8 +1,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
+#include <set>
 #include <string_view>
 #include <vector>
 
@@ -83,7 +85,7 @@ std::vector<int> read_light_choice(const TomlTable& plan, const RigGeometry& geo
   return chosen;
 }
 
-void plan_simulation(const TomlTable& plan, RigDescription& rig) {
+void plan_captures(const TomlTable& plan, RigDescription& rig) {
   const std::vector<double> angles = read_angles(plan), exposures = read_exposures(plan);
   std::vector<int> lights(rig.geometry.lights.size());
   std::iota(lights.begin(), lights.end(), 0);
@@ -92,6 +94,51 @@ void plan_simulation(const TomlTable& plan, RigDescription& rig) {
     plan.fail("", fmt::format("{} angles with {} lights each; expected at most {} views", angles.size(), lights.size(), max_views));
   for (const double angle : angles)
     for (const int light : lights) rig.plan.push_back({angle, light, exposures, {}});
+}
+
+/// The first view of each light again after every `reference_every` views and at the end.
+void plan_references(const TomlTable& plan, RigDescription& rig) {
+  if (!plan.has("reference_every")) return;
+  const auto every = static_cast<std::size_t>(plan.integer("reference_every", 1, static_cast<std::int64_t>(max_views)));
+  const std::vector<PlannedView> views = std::move(rig.plan);
+  const std::size_t n_rounds = (views.size() + every - 1) / every;
+  // With the first views themselves five points in time: fewer do not tell a drift from flicker (libcalib/drift.h).
+  constexpr std::size_t min_rounds = 4;
+  if (n_rounds < min_rounds)
+    plan.fail("reference_every", fmt::format("{} views with references after every {} are {} rounds; expected {} or more, so that a drift can be "
+                                             "told from flicker", views.size(), every, n_rounds, min_rounds));
+  std::vector<PlannedView> round;
+  std::set<int> seen;
+  for (const PlannedView& view : views)
+    if (seen.insert(view.light).second) round.push_back(view);
+  for (PlannedView& view : round) view.kind = ViewKind::reference;
+  if (views.size() + n_rounds * round.size() > max_views)
+    plan.fail("reference_every", fmt::format("{} views and {} references; expected at most {} together", views.size(), n_rounds * round.size(), max_views));
+  rig.plan.clear();
+  for (std::size_t v = 0; v < views.size(); ++v) {
+    rig.plan.push_back(views[v]);
+    if ((v + 1) % every == 0 || v + 1 == views.size()) rig.plan.insert(rig.plan.end(), round.begin(), round.end());
+  }
+}
+
+/// Views without light at the end, when the camera is as warm as it was most of the time: one frame of each exposure time in each.
+void plan_darks(const TomlTable& plan, RigDescription& rig) {
+  const auto n_frames = plan.integer("dark_frames", 0, static_cast<std::int64_t>(max_exposures), 0);
+  if (n_frames == 0) return;
+  if (n_frames == 1) plan.fail("dark_frames", "expected 0 or at least 2 of each exposure time; one does not tell noise from what is fixed");
+  PlannedView dark = rig.plan.back();
+  if (dark.exposures_s.size() < 2) plan.fail("dark_frames", "expected exposures_ms with two or more times; one does not tell dark current from black level");
+  dark.light = -1;
+  dark.kind = ViewKind::dark;
+  rig.plan.insert(rig.plan.end(), static_cast<std::size_t>(n_frames), dark);
+}
+
+void name_views(std::vector<PlannedView>& plan) {
+  std::array<int, 3> n{};
+  for (PlannedView& view : plan) {
+    const auto kind = static_cast<std::size_t>(view.kind);
+    view.id = fmt::format("{}{:03d}", "LRD"[kind], n[kind]++);
+  }
 }
 
 /// "photo_%03d.png" with 7 -> "photo_007.png".
@@ -150,6 +197,8 @@ void plan_replay(const std::optional<TomlTable>& plan, const TomlTable& replay, 
   std::vector<double> angles;
   std::vector<int> lights;
   if (plan && plan->has("exposures_ms")) plan->fail("exposures_ms", "photographs state their times in replay.exposures_s");
+  for (const char* key : {"reference_every", "dark_frames"})
+    if (plan && plan->has(key)) plan->fail(key, "only where frames are taken; of photographs it is not known when they were");
   if (plan && plan->has("angles_deg")) angles = read_angles(*plan);
   if (plan && plan->has("lights")) lights = read_light_choice(*plan, rig.geometry);
   if (angles.size() > 1 && angles.size() != n_views)
@@ -177,10 +226,36 @@ void plan_replay(const std::optional<TomlTable>& plan, const TomlTable& replay, 
 }  // namespace
 
 void read_plan(const TomlTable& root, const RigFiles& files, RigDescription& rig) {
-  const auto plan = root.table("plan", {"angles_deg", "exposures_ms", "lights"});
-  if (const auto replay = replay_table(root)) return plan_replay(plan, *replay, files, rig);
-  if (!plan) root.fail("", "[plan]: missing; expected angles_deg and exposures_ms");
-  plan_simulation(*plan, rig);
+  const auto plan = root.table("plan", {"angles_deg", "exposures_ms", "lights", "reference_every", "dark_frames"});
+  if (const auto replay = replay_table(root)) {
+    plan_replay(plan, *replay, files, rig);
+  } else {
+    if (!plan) root.fail("", "[plan]: missing; expected angles_deg and exposures_ms");
+    plan_captures(*plan, rig);
+    plan_references(*plan, rig);
+    plan_darks(*plan, rig);
+  }
+  name_views(rig.plan);
+}
+
+void read_reference_patch(const TomlTable& root, RigDescription& rig) {
+  const auto table = root.table("reference_patch", {"x_px", "y_px", "width_px", "height_px"});
+  if (!table) return;
+  if (rig.kind == RigDescription::Kind::replay)
+    root.fail("reference_patch", "only where frames are taken; of photographs it is not known when they were");
+  const auto is_reference = [](const PlannedView& view) { return view.kind == ViewKind::reference; };
+  if (std::any_of(rig.plan.begin(), rig.plan.end(), is_reference))
+    root.fail("reference_patch", "expected this or plan.reference_every, not both: each says on its own what the lights do");
+  const CameraModel& camera = rig.geometry.camera;
+  const auto size = [&](const char* key, int largest) { return static_cast<int>(table->integer(key, 1, largest)); };
+  PixelRectangle patch{0, 0, size("width_px", camera.width), size("height_px", camera.height)};
+  patch.x = static_cast<int>(table->integer("x_px", 0, camera.width - patch.width));
+  patch.y = static_cast<int>(table->integer("y_px", 0, camera.height - patch.height));
+  for (const int y : {patch.y, patch.y + patch.height / 2, patch.y + patch.height - 1})
+    for (const int x : {patch.x, patch.x + patch.width / 2, patch.x + patch.width - 1})
+      if (trace(rig.geometry, {x, y}))
+        root.fail("reference_patch", fmt::format("pixel ({}, {}) shows the sphere; expected a patch beside it", x, y));
+  rig.reference_patch = patch;
 }
 
 }  // namespace lacquer::acquire::detail

@@ -91,14 +91,20 @@ FrameRecord read_frame_record(const Field& json) {
   if (json.has("gain_db")) frame.gain_db = json["gain_db"].number(-200, 200);
   frame.checksum = json["checksum"].checksum();
   if (json.has("source")) frame.source = json["source"].string();
+  if (json.has("time_s")) frame.time_s = json["time_s"].number(-1e9, 1e9);
   return frame;
 }
 
-ViewRecord read_view_record(const Field& json, int n_lights) {
+/// `planned`: what the rig file says of this view.
+ViewRecord read_view_record(const Field& json, const PlannedView& planned, int n_lights) {
   ViewRecord view;
+  view.kind = planned.kind;
+  // Sessions from before there were others have measurement views only and do not say so.
+  const std::string kind = json.has("kind") ? json["kind"].string() : name_of(ViewKind::measurement);
+  if (kind != name_of(planned.kind)) json.fail(fmt::format("kind: \"{}\"; the plan in rig.toml says \"{}\"", kind, name_of(planned.kind)));
   view.id = json["id"].plain_name("");
   view.turntable_angle = json["turntable_angle_rad"].number(-1e4, 1e4);
-  view.light = json["light"].integer(0, n_lights - 1);
+  view.light = planned.kind == ViewKind::dark ? json["light"].integer(-1, -1) : json["light"].integer(0, n_lights - 1);
   for (const Field& frame : json["frames"].items(1, max_frames_per_view)) view.frames.push_back(read_frame_record(frame));
   return view;
 }
@@ -127,12 +133,14 @@ Json json_of(const ViewRecord& view, const PlannedView& planned) {
     j["exposure_s"] = frame.exposure_s;
     j["asked_exposure_s"] = i < planned.exposures_s.size() ? planned.exposures_s[i] : frame.exposure_s;
     if (frame.gain_db != 0) j["gain_db"] = frame.gain_db;
+    if (frame.time_s) j["time_s"] = *frame.time_s;
     j["checksum"] = frame.checksum;
     if (!frame.source.empty()) j["source"] = frame.source;
     frames.push_back(std::move(j));
   }
   Json j;
   j["id"] = view.id;
+  j["kind"] = name_of(view.kind);
   j["light"] = view.light;
   j["turntable_angle_rad"] = view.turntable_angle;
   j["asked_turntable_angle_rad"] = planned.turntable_angle;
@@ -142,6 +150,23 @@ Json json_of(const ViewRecord& view, const PlannedView& planned) {
 
 }  // namespace
 
+std::optional<double> ViewRecord::time_s() const {
+  double sum = 0;
+  for (const FrameRecord& frame : frames) {
+    if (!frame.time_s) return std::nullopt;
+    sum += *frame.time_s + frame.exposure_s / 2;
+  }
+  if (frames.empty()) return std::nullopt;
+  return sum / static_cast<double>(frames.size());
+}
+
+std::vector<std::size_t> Session::views_of(ViewKind kind) const {
+  std::vector<std::size_t> indices;
+  for (std::size_t i = 0; i < views.size(); ++i)
+    if (views[i].kind == kind) indices.push_back(i);
+  return indices;
+}
+
 void write_session(const Session& session) {
   const RigDescription& rig = session.rig;
   if (session.views.size() > rig.plan.size())
@@ -150,7 +175,7 @@ void write_session(const Session& session) {
   j["version"] = format_version;
   j["software"] = session.software;
   j["command"] = session.command_line;
-  j["units"] = {{"angle", "rad"}, {"exposure", "s"}, {"frames", "DN, mosaic not interpolated, black not subtracted"}};
+  j["units"] = {{"angle", "rad"}, {"exposure", "s"}, {"time", "s since the capture began, start of the exposure"}, {"frames", "DN, mosaic not interpolated, black not subtracted"}};
   j["rig"] = rig.name;
   j["rig_files"] = Json::object();
   for (const auto& [name, checksum] : session.rig_files) j["rig_files"][name] = checksum;
@@ -191,7 +216,7 @@ Session read_session(const fs::path& folder) {
   auto& plan = session.rig.plan;
   std::set<std::string> ids, files;
   for (const Field& item : root["views"].items(1, std::min(max_views, plan.size()))) {
-    ViewRecord view = read_view_record(item, static_cast<int>(session.rig.geometry.lights.size()));
+    ViewRecord view = read_view_record(item, plan[session.views.size()], static_cast<int>(session.rig.geometry.lights.size()));
     if (!ids.insert(view.id).second) item["id"].fail(fmt::format("\"{}\" is there twice", view.id));
     std::vector<fs::path> sources;
     for (const FrameRecord& frame : view.frames) {

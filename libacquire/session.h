@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -18,13 +19,18 @@ struct FrameRecord {
   double gain_db = 0;     ///< read back
   std::string checksum;   ///< XXH3-128 of the file
   std::string source;     ///< replay: the photograph it was made from; else empty
+  std::optional<double> time_s;  ///< when the exposure began, seconds since the capture did; photographs: not known
 };
 
 struct ViewRecord {
-  std::string id;              ///< "L012"
+  std::string id;              ///< "L012", as planned
   double turntable_angle = 0;  ///< radians, read back
-  int light = 0;
+  int light = 0;               ///< -1: dark
+  ViewKind kind = ViewKind::measurement;
   std::vector<FrameRecord> frames;
+
+  /// Mean time of the middle of its exposures; nullopt where one is not known.
+  std::optional<double> time_s() const;
 };
 
 /// A captured session. session.json is written last and atomically: a folder without it is not a session. Beside it lie rig.toml, the
@@ -38,6 +44,8 @@ struct Session {
   std::string software;
   std::string command_line;
 
+  /// Indices of the views of a kind, ascending.
+  std::vector<std::size_t> views_of(ViewKind kind) const;
   std::filesystem::path frame_path(const FrameRecord& frame) const { return folder / frame.file; }
   std::filesystem::path radiance_path(const ViewRecord& view) const { return folder / "radiance" / (view.id + ".exr"); }
 };
@@ -54,14 +62,34 @@ RawFrame read_session_frame(const Session& session, const FrameRecord& frame);
 /// Size, layout and bits are those of the rig; else Error{file}, beginning with `name`.
 void check_format(const RawFrame& frame, const RigDescription& rig, const std::string& name);
 
-/// Called after every view with its frames still in memory (for merging while the table turns), on the calling thread, in the order of
-/// the plan, when the frames of the view are safely on disk.
-using ViewSink = std::function<void(const ViewRecord& view, const std::vector<RawFrame>& frames)>;
+/// Where the frame of an exposure of a view lies in the session: "frames/L012_E03.tiff".
+std::string frame_name(const std::string& view_id, std::size_t exposure);
 
-/// Runs the plan and writes frames, rig.toml and session.json into `folder`, which must be new or empty.
-/// While a view is captured, the frames of the one before are written. Lights off and motor held on every exit. After an exception
-/// (also Error{interrupted} from `progress`) the frames written so far stay on disk; session.json is not written.
-Session capture_session(Rig& rig, const RigDescription& description, const std::filesystem::path& folder,
-                        const std::string& command_line, const Progress& progress, const ViewSink& sink = {});
+/// What becomes of the frames as they come. Called on one thread of the capture's own, in the order of the plan, so that the next frame is
+/// exposed meanwhile; the short exposures of a bracket come faster than they are written, so some wait: as many as
+/// `max_waiting_bytes` hold, and `min_waiting_frames` whatever their size. An exception ends the capture as any other failure does.
+struct FrameSink {
+  /// A frame is safely on disk: written, checksummed, renamed, recorded. `view.frames` ends with it.
+  std::function<void(const ViewRecord& view, const RawFrame& frame)> frame;
+  /// All frames of the view were handed over.
+  std::function<void(const ViewRecord& view)> view;
+};
+constexpr std::size_t min_waiting_frames = 4;
+constexpr std::size_t max_waiting_bytes = std::size_t{64} << 20;
+
+struct CaptureOptions {
+  std::string command_line;
+  /// Goes on with a capture that was interrupted: same rig file, same folder. Frames that are on disk and have the recorded checksum are
+  /// kept and handed to the sink as if they had just come; the others are taken. Nothing there yet: begins. Complete already: only reads.
+  bool resume = false;
+  /// Called once when the folder is ready, before the first frame: checks of the devices. What it throws ends the capture there.
+  std::function<void(Rig&)> before_frames = {};
+};
+
+/// Runs the plan and writes frames, rig.toml and session.json into `folder`, which must be new or empty unless options.resume.
+/// Lights off and motor held on every exit. After an exception (also Error{interrupted} from `progress`, called after every frame)
+/// the frames taken so far stay on disk, recorded in capture.jsonl, and the capture can be resumed; session.json is written last.
+Session capture_session(Rig& rig, const RigDescription& description, const std::filesystem::path& folder, const CaptureOptions& options,
+                        const Progress& progress, const FrameSink& sink = {});
 
 }  // namespace lacquer::acquire

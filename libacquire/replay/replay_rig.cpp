@@ -43,6 +43,7 @@ class ReplayCamera final : public Camera {
       for (std::size_t i = 0; i < view.files.size(); ++i) photographs_.push_back({view.files[i], view.exposures_s.at(i)});
   }
   std::string description() const override { return fmt::format("replay: {} photographs", photographs_.size()); }
+  void skip() { ++next_; }
 
  private:
   struct Photograph {
@@ -87,7 +88,10 @@ Rig open_replay_rig(const RigDescription& description) {
   Rig rig;
   rig.turntable = std::make_unique<ReplayTurntable>();
   rig.lights = std::make_unique<ReplayLights>(static_cast<int>(description.geometry.lights.size()));
-  rig.camera = std::make_unique<ReplayCamera>(description);
+  auto camera = std::make_unique<ReplayCamera>(description);
+  rig.frame_exists = [c = camera.get()](std::size_t, std::size_t) { c->skip(); };
+  rig.frame_time = [] { return std::nullopt; };
+  rig.camera = std::move(camera);
   return rig;
 }
 

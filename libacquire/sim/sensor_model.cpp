@@ -15,6 +15,9 @@ namespace lacquer::acquire::sim {
 
 namespace {
 
+/// Purposes of random numbers, so that no two share a stream.
+enum Stream : std::uint64_t { sensitivity_flaw = 1, dark_flaw, hot_flaw, dead_flaw, offset_flaw };
+
 constexpr double largest_exact_mean = 20;  // electrons; the sum over probabilities costs about 3 ns per electron
 
 /// Electrons of Poisson(mean) plus a normal number of variance `read_variance`, from the standard normal number `z`: normal with the
@@ -26,10 +29,32 @@ double approximate_electrons(double mean, double read_variance, double z) {
 
 }  // namespace
 
-SensorModel::SensorModel(const SensorDescription& sensor, int width, int height)
+SensorModel::SensorModel(const SensorDescription& sensor, int width, int height, const SensorFlaws& flaws, std::uint64_t seed)
     : sensor_(sensor), width_(width), height_(height), max_dn_(static_cast<double>((1 << sensor.bits) - 1)) {
   const double root = std::sqrt(16 + sensor.full_well_e) - 4;  // root of m = full well - 8 sqrt(m)
   always_room_ = sensor.full_well_e > 0 ? root * root : std::numeric_limits<double>::infinity();
+
+  const std::size_t n = static_cast<std::size_t>(width) * static_cast<std::size_t>(height) *
+                        static_cast<std::size_t>(values_per_pixel(sensor.layout));
+  const auto draw = [n](std::vector<float>& map, const auto& value) {
+    map.resize(n);
+    tbb::parallel_for(std::size_t{0}, n, [&](std::size_t i) { map[i] = static_cast<float>(value(i)); });
+  };
+  const std::uint64_t gain_key = combine(seed, sensitivity_flaw), dark_key = combine(seed, dark_flaw), hot_key = combine(seed, hot_flaw);
+  const std::uint64_t dead_key = combine(seed, dead_flaw), offset_key = combine(seed, offset_flaw);
+  if (flaws.prnu > 0 || flaws.dead_pixels > 0)
+    draw(relative_sensitivity_, [&](std::size_t i) {
+      return uniform(dead_key, i) < flaws.dead_pixels ? 0 : std::max(1 + flaws.prnu * normal(gain_key, i), 0.0);
+    });
+  if (flaws.dsnu_e > 0) draw(offset_, [&](std::size_t i) { return flaws.dsnu_e * normal(offset_key, i); });
+  if (flaws.dark_nonuniformity > 0 || flaws.hot_pixels > 0) {
+    const double log_variance = std::log1p(flaws.dark_nonuniformity * flaws.dark_nonuniformity);  // then the mean stays the nominal one
+    draw(dark_current_, [&](std::size_t i) {
+      const double hot = uniform(hot_key, i) / std::max(flaws.hot_pixels, 1e-300);  // below 1: hot, and then uniform in (0, 1)
+      if (hot < 1) return std::max(sensor_.dark_current_e_per_s, 1.0) * 300 * std::pow(10.0, hot);
+      return sensor_.dark_current_e_per_s * std::exp(std::sqrt(log_variance) * normal(dark_key, i) - log_variance / 2);
+    });
+  }
 }
 
 double SensorModel::electrons(double mean, std::uint64_t key, std::uint64_t index) const {
@@ -63,7 +88,6 @@ RawFrame SensorModel::expose(const RadianceImage& image, double light, const Cap
   frame.data.resize(row_length * static_cast<std::size_t>(height_));
 
   const glm::dvec3 electrons_per_radiance = sensor_.sensitivity * (settings.exposure_s * light);
-  const double dark = sensor_.dark_current_e_per_s * settings.exposure_s;
   const double dn_per_electron = std::pow(10.0, settings.gain_db / 20) / sensor_.gain_e_per_dn;
 
   std::array<std::array<int, 3>, 4> channels{};  // of the values of a pixel at (x & 1, y & 1): mosaics repeat every 2 x 2 pixels
@@ -79,7 +103,8 @@ RawFrame SensorModel::expose(const RadianceImage& image, double light, const Cap
         for (int k = 0; k < n_values; ++k, ++at) {
           const auto channel = static_cast<std::size_t>(channels[static_cast<std::size_t>((x & 1) + 2 * (y & 1))][static_cast<std::size_t>(k)]);
           const double signal = static_cast<double>(row[channel][x]) * electrons_per_radiance[static_cast<int>(channel)];
-          frame.data[at] = value(electrons(std::max(signal, 0.0) + dark, key, at) * dn_per_electron);
+          const double mean = std::max(signal, 0.0) * relative_sensitivity(at) + dark_current(at) * settings.exposure_s;
+          frame.data[at] = value((electrons(mean, key, at) + offset(at)) * dn_per_electron);
         }
       }
     }

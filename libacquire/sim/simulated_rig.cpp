@@ -33,6 +33,7 @@ class SimulatedTurntable final : public Turntable {
 class SimulatedLights final : public LightSwitch {
  public:
   explicit SimulatedLights(World world) : world_(std::move(world)) {}
+  ~SimulatedLights() override { off(); }
   void off() noexcept override { world_->switch_light(std::nullopt); }
   std::string description() const override { return "simulated lights"; }
   int n_lights() const override { return static_cast<int>(world_->geometry().lights.size()); }
@@ -50,6 +51,10 @@ Rig open_simulated_rig(const RigDescription& description, std::shared_ptr<const 
   rig.turntable = std::make_unique<SimulatedTurntable>(world);
   rig.lights = std::make_unique<SimulatedLights>(world);
   rig.camera = std::make_unique<SimulatedCamera>(world);
+  rig.frame_exists = [world, plan = description.plan](std::size_t view, std::size_t exposure) {
+    world->skip(plan[view].light, plan[view].turntable_angle, {plan[view].exposures_s[exposure], 0});
+  };
+  rig.frame_time = [world] { return world->frame_time(); };
   return rig;
 }
 

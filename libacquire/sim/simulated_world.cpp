@@ -15,7 +15,7 @@ namespace lacquer::acquire::sim {
 namespace {
 
 /// Purposes of random numbers, so that no two share a stream.
-enum Stream : std::uint64_t { step_error = 1, readback_error, led_noise, sensor_noise };
+enum Stream : std::uint64_t { step_error = 1, readback_error, led_noise, sensor_noise, sensor_flaws };
 
 std::uint64_t key_of(double value) { return std::bit_cast<std::uint64_t>(value + 0.0); }  // + 0.0: -0 and 0 are one angle
 
@@ -52,8 +52,13 @@ const RigDescription& checked(const RigDescription& description, const std::shar
   check_sensor(description.sensor);
   const SimulationDescription& s = description.simulation;
   require(s.blur_px >= 0 && s.blur_px <= 10, "simulation.blur_px", "a number in [0, 10]");
+  require(s.patch_radiance >= 0 && std::isfinite(s.patch_radiance), "simulation.patch_radiance", "a number >= 0");
   require(s.stray_light >= 0 && std::isfinite(s.stray_light), "simulation.stray_light", "a number >= 0");
   require(s.step_error_rms >= 0 && s.readback_noise_rms >= 0 && s.led_noise_rms >= 0, "simulation noises", "numbers >= 0");
+  const SensorFlaws& f = s.sensor;
+  require(f.prnu >= 0 && f.dsnu_e >= 0 && f.dark_nonuniformity >= 0, "simulation.prnu, dsnu_e, dark_nonuniformity", "numbers >= 0");
+  require(f.hot_pixels >= 0 && f.hot_pixels <= 1 && f.dead_pixels >= 0 && f.dead_pixels <= 1, "simulation.hot_pixels, dead_pixels",
+          "numbers in [0, 1]");
   require(s.led_drift_per_hour < 1 && std::isfinite(s.led_drift_per_hour), "simulation.led_drift_per_hour", "a number < 1");
   return description;
 }
@@ -62,6 +67,14 @@ glm::dvec3 tilted(const glm::dvec3& axis, double about_x, double about_z) {
   const double cx = std::cos(about_x), sx = std::sin(about_x), cz = std::cos(about_z), sz = std::sin(about_z);
   const glm::dvec3 a(axis.x, cx * axis.y - sx * axis.z, sx * axis.y + cx * axis.z);
   return {cz * a.x - sz * a.y, sz * a.x + cz * a.y, a.z};
+}
+
+/// A small white surface that each light lights alike, wherever the turntable stands.
+void draw_patch(RadianceImage& image, const std::optional<PixelRectangle>& patch, double radiance) {
+  if (!patch || radiance == 0) return;
+  for (int channel = 0; channel < image.n_channels; ++channel)
+    for (int y = patch->y; y < patch->y + patch->height; ++y)
+      for (int x = patch->x; x < patch->x + patch->width; ++x) image.at(channel, x, y) = static_cast<float>(radiance);
 }
 
 }  // namespace
@@ -81,7 +94,8 @@ SimulatedWorld::SimulatedWorld(const RigDescription& description, std::shared_pt
     : description_(checked(description, paint)),
       geometry_(true_geometry(description)),
       renderer_(geometry_, std::move(paint), n_channels(description.sensor.layout)),
-      sensor_(description.sensor, geometry_.camera.width, geometry_.camera.height),
+      sensor_(description.sensor, geometry_.camera.width, geometry_.camera.height, description.simulation.sensor,
+              combine(description.simulation.seed, sensor_flaws)),
       dark_(geometry_.camera.width, geometry_.camera.height, n_channels(description.sensor.layout)) {
   move_to(0);
   time_ = 0;
@@ -95,14 +109,11 @@ void SimulatedWorld::plan_times() {
       time += SimulatedTiming::per_move + SimulatedTiming::per_radian * std::abs(view.turntable_angle - angle);
     angle = view.turntable_angle;
     time += SimulatedTiming::per_switch;
-    planned_time_.try_emplace({view.light, view.turntable_angle}, time);
-    for (const double exposure : view.exposures_s) time += exposure + SimulatedTiming::per_frame;
+    for (const double exposure : view.exposures_s) {
+      planned_times_[{view.light, view.turntable_angle, exposure, 0.0}].push_back(time);
+      time += exposure + SimulatedTiming::per_frame;
+    }
   }
-}
-
-void SimulatedWorld::keep_planned_time() {
-  if (!light_) return;
-  if (const auto planned = planned_time_.find({*light_, angle_}); planned != planned_time_.end()) time_ = planned->second;
 }
 
 double SimulatedWorld::move_to(double angle) {
@@ -110,7 +121,6 @@ double SimulatedWorld::move_to(double angle) {
   const SimulationDescription& s = description_.simulation;
   angle_ = angle;
   true_angle_ = angle + s.step_error_rms * normal(combine(s.seed, step_error), key_of(angle));
-  keep_planned_time();
   return angle + s.readback_noise_rms * normal(combine(s.seed, readback_error), key_of(angle));
 }
 
@@ -118,7 +128,6 @@ void SimulatedWorld::switch_light(std::optional<int> light) {
   if (light == light_) return;
   light_ = light;
   time_ += SimulatedTiming::per_switch;
-  keep_planned_time();
 }
 
 double SimulatedWorld::led_factor(double time) const {
@@ -130,6 +139,7 @@ const RadianceImage& SimulatedWorld::image() {
   if (rendered_ == view) return image_;
   rendered_.reset();  // an exception below leaves no half-finished image behind
   image_ = renderer_.render(geometry_.place_light(static_cast<std::size_t>(*light_), true_angle_));
+  draw_patch(image_, description_.reference_patch, description_.simulation.patch_radiance);
   blur(image_, description_.simulation.blur_px);
   add_stray_light(image_, description_.simulation.stray_light);
   vignette(image_, geometry_.camera, description_.sensor.vignetting);
@@ -140,7 +150,11 @@ const RadianceImage& SimulatedWorld::image() {
 RawFrame SimulatedWorld::photograph(const CaptureSettings& settings) {
   const SimulationDescription& s = description_.simulation;
   const int light = light_.value_or(-1);
-  const std::uint64_t n_before = n_taken_[{light, angle_, settings.exposure_s, settings.gain_db}]++;
+  const Picture picture{light, angle_, settings.exposure_s, settings.gain_db};
+  const std::uint64_t n_before = n_taken_[picture]++;
+  if (const auto planned = planned_times_.find(picture); planned != planned_times_.end() && n_before < planned->second.size())
+    time_ = planned->second[n_before];
+  frame_time_ = time_;
   std::uint64_t key = combine(s.seed, static_cast<std::uint64_t>(light) + 1);
   for (const std::uint64_t part : {key_of(angle_), key_of(settings.exposure_s), key_of(settings.gain_db), n_before}) key = combine(key, part);
 

@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <tuple>
+#include <vector>
 
 #include "libacquire/rig_description.h"
 #include "libacquire/sim/sensor_model.h"
@@ -31,7 +32,7 @@ struct SimulatedTiming {
 ///
 /// A frame depends on the description, the paint, and on what it is a picture of: light, angle, exposure, gain, and how often exactly
 /// this frame was taken before. It does not depend on the frames taken before it, so that a session that is resumed gives the same
-/// frames as one that ran through. Views of the plan are photographed at the time they have in the plan; others whenever they are taken.
+/// frames as one that ran through. Frames of the plan are taken at the time they have in the plan; others whenever they are taken.
 class SimulatedWorld {
  public:
   /// Throws Error{input} where a number is missing or out of range.
@@ -41,20 +42,20 @@ class SimulatedWorld {
   double move_to(double angle);
   void switch_light(std::optional<int> light);
   RawFrame photograph(const CaptureSettings& settings);
+  /// Counts a frame as taken.
+  void skip(int light, double angle, const CaptureSettings& settings) { ++n_taken_[{light, angle, settings.exposure_s, settings.gain_db}]; }
 
   const RigGeometry& geometry() const { return geometry_; }
   std::optional<int> light() const { return light_; }
   double true_angle() const { return true_angle_; }
   double time() const { return time_; }  ///< simulated seconds since the lights were first switched on
+  double frame_time() const { return frame_time_; }  ///< when the exposure of the last frame began
 
   /// Factor on the light's intensity at `time`: 1 - d (1 - exp(-t / warm_up)) with d = led_drift_per_hour, the slope at the start.
   double led_factor(double time) const;
 
  private:
-  using View = std::pair<int, double>;  // light, asked angle
-
   void plan_times();
-  void keep_planned_time();
   const RadianceImage& image();
 
   RigDescription description_;
@@ -62,11 +63,12 @@ class SimulatedWorld {
   SphereRenderer renderer_;
   SensorModel sensor_;
   RadianceImage dark_;
-  std::map<View, double> planned_time_;
-  std::map<std::tuple<int, double, double, double>, std::uint64_t> n_taken_;  // light (-1: none), angle, exposure, gain
+  using Picture = std::tuple<int, double, double, double>;  // light (-1: none), asked angle, exposure, gain
+  std::map<Picture, std::vector<double>> planned_times_;    // of each time it is taken
+  std::map<Picture, std::uint64_t> n_taken_;
   std::optional<int> light_;
   double angle_ = 0, true_angle_ = 0;
-  double time_ = 0;
+  double time_ = 0, frame_time_ = 0;
   std::optional<std::pair<int, double>> rendered_;  // light and true angle of image_
   RadianceImage image_;
 };
