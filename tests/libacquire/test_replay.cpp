@@ -70,7 +70,7 @@ absolute = false
 TEST_F(ReplayTest, SessionHoldsThePhotographsInOrderOfExposure) {
   const RigDescription description = read_rig(folder / "rig.toml");
   Rig rig = open_rig(description, nullptr);
-  capture_session(rig, description, folder / "session", "", {});
+  capture_session(rig, description, folder / "session", {}, {});
   std::filesystem::remove_all(photos());  // a session needs nothing but itself
   std::filesystem::rename(folder / "session", folder / "moved");
 

@@ -10,6 +10,7 @@
 #include "libacquire/sim/noise.h"
 #include "libacquire/sim/optics.h"
 #include "libacquire/sim/sensor_model.h"
+#include "libbrdf/error.h"
 
 namespace lacquer::acquire::sim {
 namespace {
@@ -178,6 +179,97 @@ TEST(Sensor, FullWellLimitsTheElectronsAndLeavesOnlyReadNoise) {
   // Exactly at the well half of the shot noise is cut: mean - sigma / sqrt(2 pi).
   const Moments half = moments_of_frame(s, 5.f, 1.0);
   EXPECT_NEAR(half.mean, 64 + (5000 - std::sqrt(5000.0) / std::sqrt(2 * std::numbers::pi)) / 2.5, 0.3);
+}
+
+// ---- values that differ
+
+SensorDescription flawed_sensor() {
+  SensorDescription s = linear_sensor();
+  s.dark_current_e_per_s = 10;
+  return s;
+}
+
+TEST(Sensor, FlawsHaveTheSpreadAskedForAndAreTheSameForASeed) {
+  constexpr int width = 400, height = 300, n = width * height;
+  const SensorFlaws flaws{.prnu = 0.02, .dsnu_e = 7, .dark_nonuniformity = 0.5};
+  const SensorModel sensor(flawed_sensor(), width, height, flaws, 5), same(flawed_sensor(), width, height, flaws, 5),
+      other(flawed_sensor(), width, height, flaws, 6);
+  std::vector<double> sensitivity, offset, dark;
+  std::size_t equal = 0;
+  for (std::size_t i = 0; i < n; ++i) {
+    sensitivity.push_back(sensor.relative_sensitivity(i));
+    offset.push_back(sensor.offset(i));
+    dark.push_back(sensor.dark_current(i));
+    ASSERT_EQ(sensor.dark_current(i), same.dark_current(i));
+    ASSERT_EQ(sensor.relative_sensitivity(i), same.relative_sensitivity(i));
+    equal += sensor.offset(i) == other.offset(i);
+  }
+  EXPECT_LT(equal, 10u);
+  const Moments a = moments(sensitivity), b = moments(offset), c = moments(dark);
+  // 4 sigma: of a mean sd / sqrt(n), of a standard deviation sd / sqrt(2 n) (normal).
+  EXPECT_NEAR(a.mean, 1, 4 * 0.02 / std::sqrt(n));
+  EXPECT_NEAR(std::sqrt(a.variance), 0.02, 4 * 0.02 / std::sqrt(2.0 * n));
+  EXPECT_NEAR(b.mean, 0, 4 * 7 / std::sqrt(n));
+  EXPECT_NEAR(std::sqrt(b.variance), 7, 4 * 7 / std::sqrt(2.0 * n));
+  EXPECT_NEAR(c.mean, 10, 4 * 5 / std::sqrt(n));
+  // The log-normal distribution with variance / mean^2 = 0.25 has an excess kurtosis of w^4 + 2 w^3 + 3 w^2 - 6 = 5.0 (w = 1.25).
+  EXPECT_NEAR(c.variance / 25, 1, 4 * std::sqrt((2 + 5.0) / n));
+  EXPECT_GT(*std::min_element(dark.begin(), dark.end()), 0);
+}
+
+TEST(Sensor, HotAndDeadValuesAreAsManyAsAskedForAndStayWhereTheyAre) {
+  constexpr int width = 400, height = 300, n = width * height;
+  const SensorFlaws flaws{.hot_pixels = 0.01, .dead_pixels = 0.02};
+  const SensorModel sensor(flawed_sensor(), width, height, flaws, 5);
+  int hot = 0, dead = 0;
+  for (std::size_t i = 0; i < n; ++i) {
+    const double dark = sensor.dark_current(i);
+    EXPECT_TRUE(dark == 10 || (dark >= 3000 && dark <= 30000)) << dark;
+    hot += dark > 10;
+    dead += sensor.relative_sensitivity(i) == 0;
+  }
+  EXPECT_NEAR(hot, 0.01 * n, 4 * std::sqrt(0.01 * n));  // binomial
+  EXPECT_NEAR(dead, 0.02 * n, 4 * std::sqrt(0.02 * n));
+  const RawFrame frame = sensor.expose(uniform_image(width, height, 1, 4.f), 1, {0.5, 0}, 1);
+  for (std::size_t i = 0; i < n; ++i) {
+    // Electrons expected of this value by hand; 8 sigma of shot and read noise.
+    const double electrons = 4 * 1000 * 0.5 * (sensor.relative_sensitivity(i) == 0 ? 0 : 1) + 0.5 * sensor.dark_current(i);
+    ASSERT_NEAR(frame.data[i], std::min(64 + electrons / 2.5, 4095.0), 8 * std::sqrt(electrons + 36) / 2.5 + 1) << i;
+  }
+}
+
+TEST(Sensor, OffsetsAndSensitivitiesShowInTheMeanOfManyFrames) {
+  const SensorFlaws flaws{.prnu = 0.05, .dsnu_e = 20};
+  const SensorModel sensor(flawed_sensor(), 20, 15, flaws, 5);
+  const auto image = uniform_image(20, 15, 1, 2.f);
+  constexpr int n_frames = 400;
+  std::vector<double> mean(300);
+  for (int k = 0; k < n_frames; ++k) {
+    const RawFrame frame = sensor.expose(image, 1, {1, 0}, static_cast<std::uint64_t>(k));
+    for (std::size_t i = 0; i < 300; ++i) mean[i] += frame.data[i] / static_cast<double>(n_frames);
+  }
+  for (std::size_t i = 0; i < 300; ++i) {
+    const double electrons = 2000 * sensor.relative_sensitivity(i) + 10;
+    EXPECT_NEAR(mean[i], 64 + (electrons + sensor.offset(i)) / 2.5, 4.5 * std::sqrt((electrons + 36) / n_frames) / 2.5) << i;
+  }
+}
+
+TEST(Sensor, FlawsAreReadFromTheRigFile) {
+  const std::string rig =
+      "[rig]\nname = 'r'\nkind = 'simulated'\n[camera]\nwidth_px = 8\nheight_px = 8\nlayout = 'mono'\nbits = 12\nfocal_length_px = 100\n"
+      "position_mm = [0, 0, 1000]\n[sensor]\nsensitivity_e_per_s = 1e5\n[[lights]]\nposition_mm = [0, 0, 600]\n[plan]\nangles_deg = [0]\n"
+      "exposures_ms = [1]\n[simulation]\n";
+  const SensorFlaws none = parse_rig(rig, "r.toml").simulation.sensor;
+  EXPECT_EQ(none.prnu + none.dsnu_e + none.dark_nonuniformity + none.hot_pixels + none.dead_pixels, 0);
+  const SensorFlaws flaws =
+      parse_rig(rig + "prnu = 0.01\ndsnu_e = 2\ndark_nonuniformity = 0.3\nhot_pixels = 1e-3\ndead_pixels = 1e-4\n", "r.toml").simulation.sensor;
+  EXPECT_EQ(flaws.prnu, 0.01);
+  EXPECT_EQ(flaws.dsnu_e, 2);
+  EXPECT_EQ(flaws.dark_nonuniformity, 0.3);
+  EXPECT_EQ(flaws.hot_pixels, 1e-3);
+  EXPECT_EQ(flaws.dead_pixels, 1e-4);
+  for (const char* bad : {"prnu = -0.1\n", "hot_pixels = 2\n", "dead_pixels = -1\n", "dsnu_e = nan\n", "dark_nonuniformity = -1\n"})
+    EXPECT_THROW(parse_rig(rig + bad, "r.toml"), Error) << bad;
 }
 
 // ---- response and layout

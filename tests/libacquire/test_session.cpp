@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include "libacquire/capture_clock.h"
 #include "libacquire/session.h"
 #include "libbrdf/error.h"
 #include "libbrdf/files.h"
@@ -40,7 +41,7 @@ struct Log {
   bool light_on = false, held = false;
   int lit = -1;
   double angle = 0;
-  int n_captures = 0;
+  int n_captures = 0, n_dark = 0;
   std::function<void(RawFrame&)> disturb;  ///< before a frame is returned
 };
 
@@ -82,8 +83,9 @@ class FakeCamera final : public Camera {
     RawFrame frame{.width = 8, .height = 6, .layout = PixelLayout::bayer_grbg, .bits = 12, .data = {}, .actual = asked};
     frame.data.assign(48, static_cast<std::uint16_t>(100 + log_.lit));
     frame.data[0] = static_cast<std::uint16_t>(log_.n_captures++);
+    log_.n_dark += !log_.light_on;
     frame.actual.exposure_s *= 1.01;
-    frame.actual.gain_db = 6;
+    frame.actual.gain_db = 0.5;
     if (log_.disturb) log_.disturb(frame);
     return frame;
   }
@@ -100,9 +102,9 @@ Rig fake_rig(Log& log) {
 
 class SessionTest : public testing::Test {
  protected:
-  Session capture(const Progress& progress = {}, const ViewSink& sink = {}) {
+  Session capture(const Progress& progress = {}, const FrameSink& sink = {}, bool resume = false) {
     Rig rig = fake_rig(log);
-    return capture_session(rig, parse_rig(rig_text, folder / "rig.toml"), session_folder, "lacquer capture \"x\"", progress, sink);
+    return capture_session(rig, parse_rig(rig_text, folder / "rig.toml"), session_folder, {"lacquer capture \"x\"", resume}, progress, sink);
   }
   std::string error_of(const std::function<void()>& action) {
     try {
@@ -155,7 +157,7 @@ TEST_F(SessionTest, ComesBackAsItWasCaptured) {
       EXPECT_EQ(frame.data[1], 100 + s.views[v].light);
       EXPECT_EQ(frame.layout, PixelLayout::bayer_grbg);
       EXPECT_DOUBLE_EQ(frame.actual.exposure_s, (std::vector{1e-3, 2e-3, 5e-3})[e] * 1.01) << "as read back";
-      EXPECT_DOUBLE_EQ(frame.actual.gain_db, 6);
+      EXPECT_DOUBLE_EQ(frame.actual.gain_db, 0.5);
     }
   }
   EXPECT_EQ(s.views[2].frames[1].file, "frames/L002_E01.tiff");
@@ -163,28 +165,43 @@ TEST_F(SessionTest, ComesBackAsItWasCaptured) {
   EXPECT_TRUE(log.held);
 }
 
-TEST_F(SessionTest, SinkSeesEveryViewInOrderWithItsFramesOnDisk) {
+TEST_F(SessionTest, SinkSeesEveryFrameAndViewInOrderWhenItIsOnDisk) {
   std::vector<std::string> seen;
   std::vector<std::size_t> steps;
-  capture([&](const std::string& stage, std::size_t done, std::size_t total) {
+  const auto stop_watch = [&](const std::string& stage, std::size_t done, std::size_t total) {
     EXPECT_EQ(stage, "capture");
-    EXPECT_EQ(total, 4u);
+    EXPECT_EQ(total, 12u);
     steps.push_back(done);
-  }, [&](const ViewRecord& view, const std::vector<RawFrame>& frames) {
+  };
+  FrameSink sink;
+  std::uint16_t n = 0;
+  sink.frame = [&](const ViewRecord& view, const RawFrame& frame) {
+    EXPECT_EQ(frame.data[0], n++);
+    EXPECT_EQ(brdf::file_checksum(session_folder / view.frames.back().file), view.frames.back().checksum);
+    seen.push_back(view.frames.back().file);
+  };
+  sink.view = [&](const ViewRecord& view) {
+    EXPECT_EQ(view.frames.size(), 3u);
     seen.push_back(view.id);
-    ASSERT_EQ(frames.size(), view.frames.size());
-    for (const FrameRecord& record : view.frames) EXPECT_EQ(brdf::file_checksum(session_folder / record.file), record.checksum);
-  });
-  EXPECT_EQ(seen, (std::vector<std::string>{"L000", "L001", "L002", "L003"}));
-  EXPECT_EQ(steps, (std::vector<std::size_t>{0, 1, 2, 3, 4}));
+  };
+  capture(stop_watch, sink);
+  std::vector<std::string> expected;
+  for (std::size_t v = 0; v < 4; ++v) {
+    for (std::size_t e = 0; e < 3; ++e) expected.push_back(frame_name("L00" + std::to_string(v), e));
+    expected.push_back("L00" + std::to_string(v));
+  }
+  EXPECT_EQ(seen, expected);
+  EXPECT_EQ(steps, (std::vector<std::size_t>{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}));
+  EXPECT_FALSE(std::filesystem::exists(session_folder / "capture.jsonl"));
+  EXPECT_FALSE(std::filesystem::exists(session_folder / "capture.lock"));
 }
 
 TEST_F(SessionTest, LightsAreOffAndTheMotorHeldAfterEveryKindOfFailure) {
-  const auto fails = [&](const std::function<void(RawFrame&)>& disturb, const Progress& progress, const ViewSink& sink) {
+  const auto fails = [&](const std::function<void(RawFrame&)>& disturb, const Progress& progress, const FrameSink& sink) {
     log = Log{};
     log.disturb = disturb;
     Rig rig = fake_rig(log);
-    EXPECT_THROW(capture_session(rig, parse_rig(rig_text, folder / "rig.toml"), session_folder, "", progress, sink), std::exception);
+    EXPECT_THROW(capture_session(rig, parse_rig(rig_text, folder / "rig.toml"), session_folder, {}, progress, sink), std::exception);
     EXPECT_GT(log.n_captures, 0);
     EXPECT_FALSE(log.light_on);
     EXPECT_TRUE(log.held);
@@ -196,15 +213,73 @@ TEST_F(SessionTest, LightsAreOffAndTheMotorHeldAfterEveryKindOfFailure) {
   fails([](RawFrame& f) { f.width = 6, f.height = 8; }, {}, {});
   fails([](RawFrame& f) { f.data[3] = 4096; }, {}, {});
   fails({}, [](const std::string&, std::size_t done, std::size_t) { if (done == 1) throw Error(ErrorCode::interrupted, "stop"); }, {});
-  fails({}, {}, [](const ViewRecord&, const std::vector<RawFrame>&) { throw std::runtime_error("sink"); });
+  fails({}, {}, {.frame = {}, .view = [](const ViewRecord&) { throw std::runtime_error("sink"); }});
+  fails({}, {}, {.frame = [](const ViewRecord&, const RawFrame&) { throw std::runtime_error("sink"); }, .view = {}});
 }
 
-TEST_F(SessionTest, FramesBeforeAnInterruptionStayOnDisk) {
+TEST_F(SessionTest, FramesBeforeAnInterruptionStayOnDiskAndAreRecorded) {
   EXPECT_THROW(capture([](const std::string&, std::size_t done, std::size_t) {
-    if (done == 2) throw Error(ErrorCode::interrupted, "stop");
+    if (done == 4) throw Error(ErrorCode::interrupted, "stop");
   }), Error);
-  for (const char* name : {"frames/L000_E00.tiff", "frames/L001_E02.tiff"})
+  for (const char* name : {"frames/L000_E00.tiff", "frames/L001_E00.tiff"})
     EXPECT_EQ(read_frame((session_folder / name).string(), 12, PixelLayout::bayer_grbg).width, 8);
+  EXPECT_EQ(error_of([&] { capture(); }), "S: has a capture that did not end (4 frames); complete it with --resume or choose another folder");
+}
+
+TEST_F(SessionTest, DarkViewsAreTakenWithAllLightsOff) {
+  std::string text = rig_text;
+  text.replace(text.find("[simulation]"), 0, "dark_frames = 2\n");
+  Rig rig = fake_rig(log);
+  capture_session(rig, parse_rig(text, folder / "rig.toml"), session_folder, {}, {});
+  EXPECT_EQ(log.n_captures, 12 + 2 * 3);
+  EXPECT_EQ(log.n_dark, 2 * 3);
+  const Session s = read_session(session_folder);
+  ASSERT_EQ(s.views_of(ViewKind::dark), (std::vector<std::size_t>{4, 5}));
+  EXPECT_EQ(s.views_of(ViewKind::measurement), (std::vector<std::size_t>{0, 1, 2, 3}));
+  EXPECT_EQ(s.views[5].id, "D001");
+  EXPECT_EQ(s.views[5].light, -1);
+  EXPECT_EQ(s.views[5].frames[2].file, "frames/D001_E02.tiff");
+  EXPECT_EQ(read_session_frame(s, s.views[5].frames[2]).data[0], 17) << "the last of 18 frames";
+  EXPECT_EQ(error_with("\"light\": -1", "\"light\": 0"), "S/session.json: views[4].light: expected a number from -1 to -1");
+  EXPECT_EQ(error_with("\"kind\": \"dark\"", "\"kind\": \"measurement\""),
+            "S/session.json: views[4]: kind: \"measurement\"; the plan in rig.toml says \"dark\"");
+}
+
+TEST_F(SessionTest, FramesKnowWhenTheyWereTaken) {
+  capture();
+  const Session s = read_session(session_folder);
+  double last = 0;
+  for (const ViewRecord& view : s.views)
+    for (const FrameRecord& frame : view.frames) {
+      ASSERT_TRUE(frame.time_s);
+      EXPECT_GE(*frame.time_s, last);
+      last = *frame.time_s;
+    }
+  EXPECT_LT(last, 60) << "seconds since the capture began, not since the computer was started";
+  ViewRecord view;
+  EXPECT_FALSE(view.time_s()) << "no frames";
+  view.frames = {{.file = {}, .exposure_s = 0.5, .time_s = 10}, {.file = {}, .exposure_s = 2, .time_s = 11}};
+  EXPECT_DOUBLE_EQ(*view.time_s(), (10.25 + 12) / 2) << "the middle of the exposures";
+  view.frames[1].time_s.reset();
+  EXPECT_FALSE(view.time_s());
+}
+
+TEST_F(SessionTest, TimeGoesOnWhileNoProcessRuns) {
+  EXPECT_EQ(elapsed_since(1000, 4600, 50), 3600);
+  EXPECT_EQ(elapsed_since(1000, 400, 50), 50) << "the wall clock was set back: no frame before those that are there";
+  EXPECT_THROW(capture([](const std::string&, std::size_t done, std::size_t) {
+    if (done == 4) throw Error(ErrorCode::interrupted, "stop");
+  }), Error);
+  // As if the capture had begun an hour earlier.
+  std::string journal = brdf::read_text(session_folder / "capture.jsonl");
+  const std::string key = "\"begun_unix_s\":";
+  const std::size_t at = journal.find(key) + key.size(), end = journal.find_first_of(",}", at);
+  journal.replace(at, end - at, std::to_string(std::stod(journal.substr(at, end - at)) - 3600));
+  test::write_file(session_folder / "capture.jsonl", journal);
+  const Session s = capture({}, {}, true);
+  EXPECT_LT(*s.views[0].frames[0].time_s, 60);
+  EXPECT_GT(*s.views[3].frames[2].time_s, 3599);
+  EXPECT_LT(*s.views[3].frames[2].time_s, 3660);
 }
 
 TEST_F(SessionTest, NothingIsOverwritten) {
@@ -218,7 +293,7 @@ TEST_F(SessionTest, NothingIsOverwritten) {
   std::filesystem::remove_all(session_folder);
   std::filesystem::create_directories(session_folder);
   test::write_file(session_folder / "thesis.txt", "do not touch");
-  EXPECT_NE(error_of([&] { capture(); }).find("S: folder is not empty"), std::string::npos);
+  EXPECT_NE(error_of([&] { capture(); }).find("S: is not empty (thesis.txt) and no capture of Lacquer's"), std::string::npos);
   std::filesystem::remove_all(session_folder);
   test::write_file(session_folder, "a file");
   EXPECT_EQ(error_of([&] { capture(); }), "S: is a file; expected a folder for the session");
