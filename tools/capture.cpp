@@ -9,7 +9,9 @@
 #include "libacquire/session.h"
 #include "libbrdf/brdf.h"
 #include "libbrdf/error.h"
+#include "tools/capture_guard.h"
 #include "tools/command.h"
+#include "tools/dry_run.h"
 
 namespace lacquer::tools {
 
@@ -17,10 +19,14 @@ namespace {
 
 struct Options {
   std::string rig, paint, data, session;
+  bool resume = false, dry_run = false, check = false, no_checks = false;
+  std::string map;
 };
 
 void run(const Options& options, const Context& context) {
   acquire::RigDescription rig = acquire::read_rig(options.rig, options.data);
+  if (options.dry_run) return print_dry_run(rig, {.session = options.session, .map = options.map, .samples = {}}, context);
+  if (options.session.empty() && !options.check) throw Error(ErrorCode::usage, "-o: missing; expected the folder of the session");
   std::shared_ptr<const brdf::Brdf> paint;
   if (rig.kind == acquire::RigDescription::Kind::simulated) {
     if (!options.paint.empty()) rig.simulation.paint = options.paint;
@@ -33,8 +39,13 @@ void run(const Options& options, const Context& context) {
 
   const auto start = std::chrono::steady_clock::now();
   acquire::Rig devices = acquire::open_rig(rig, std::move(paint));
-  const acquire::Session session =
-      acquire::capture_session(devices, rig, options.session, context.command_line, stderr_progress(context));
+  if (options.check) return print_rig_checks(devices, rig, options.session, context);
+  CaptureGuard guard(rig, !options.no_checks, context);
+  acquire::Session session;
+  guard.run([&] {
+    session = acquire::capture_session(devices, rig, options.session, {context.command_line, options.resume, guard.before_frames()},
+                                       stderr_progress(context));
+  });
   std::size_t n_frames = 0;
   for (const acquire::ViewRecord& view : session.views) n_frames += view.frames.size();
   fmt::print("{}: {} views, {} frames, {:.1f} s\n", session.folder.string(), session.views.size(), n_frames,
@@ -49,7 +60,12 @@ void add_capture(CLI::App& app, Context& context) {
   command->add_option("rig", options->rig, "rig file (TOML), e.g. rigs/simulated-quick.toml")->required();
   command->add_option("--paint", options->paint, "simulated rig: any BRDF file, instead of the rig file's simulation.paint");
   command->add_option("--data", options->data, "replay rig: folder of the photographs, instead of the rig file's replay.folder");
-  command->add_option("-o,--output", options->session, "folder of the session, new or empty")->required();
+  command->add_option("-o,--output", options->session, "folder of the session, new or empty (or with --resume)");
+  command->add_flag("--resume", options->resume, "go on with a capture that was interrupted in this folder");
+  command->add_flag("--dry-run", options->dry_run, "only say what it would be: plan, duration, disk space, coverage of the table");
+  command->add_flag("--check", options->check, "test the rig with a few frames, without measuring: camera, lights, turntable, free space");
+  command->add_flag("--no-checks", options->no_checks, "begin at once, without the check of the camera's exposure");
+  command->add_option("--map", options->map, "with --dry-run: SVG or PNG of the coverage, instead of text");
   command->callback([options, &context] { run(*options, context); });
 }
 

@@ -36,6 +36,7 @@ Progress stderr_progress(const Context& context) {
   };
   std::signal(SIGINT, [](int) { interrupted = 1; });
   std::signal(SIGTERM, [](int) { interrupted = 1; });
+  std::signal(SIGHUP, [](int) { interrupted = 1; });  // the terminal was closed or its connection lost
   const bool terminal = isatty(STDERR_FILENO) != 0;
   const bool quiet = context.quiet;
   return [state = std::make_shared<State>(), terminal, quiet](const std::string& stage, std::size_t done, std::size_t total) {

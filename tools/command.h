@@ -15,6 +15,7 @@ struct Context {
 };
 
 void add_capture(CLI::App& app, Context& context);
+void add_devices(CLI::App& app, Context& context);
 void add_merge(CLI::App& app, Context& context);
 void add_calibrate(CLI::App& app, Context& context);
 void add_tabulate(CLI::App& app, Context& context);

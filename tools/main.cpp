@@ -1,4 +1,7 @@
+#include <algorithm>
+#include <cctype>
 #include <csignal>
+#include <cstring>
 #include <iostream>
 
 #include "libbrdf/error.h"
@@ -7,9 +10,18 @@
 
 namespace {
 
+/// As one would type it into a shell.
+std::string quoted(const std::string& argument) {
+  const auto plain = [](unsigned char c) { return std::isalnum(c) || std::strchr("_-+=./:,@%", c); };
+  if (!argument.empty() && std::all_of(argument.begin(), argument.end(), plain)) return argument;
+  std::string text = "'";
+  for (const char c : argument) text += c == '\'' ? std::string("'\\''") : std::string(1, c);
+  return text + "'";
+}
+
 std::string join_arguments(int argc, char** argv) {
   std::string line = "lacquer";
-  for (int i = 1; i < argc; ++i) line += std::string(" ") + argv[i];
+  for (int i = 1; i < argc; ++i) line += " " + quoted(argv[i]);
   return line;
 }
 
@@ -28,6 +40,7 @@ int main(int argc, char** argv) {
 
   tools::add_measure(app, context);
   tools::add_capture(app, context);
+  tools::add_devices(app, context);
   tools::add_merge(app, context);
   tools::add_calibrate(app, context);
   tools::add_tabulate(app, context);

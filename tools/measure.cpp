@@ -8,7 +8,10 @@
 #include "libbrdf/brdf.h"
 #include "libbrdf/error.h"
 #include "libbrdf/metrics.h"
+#include "tools/capture_guard.h"
 #include "tools/command.h"
+#include "tools/drift_report.h"
+#include "tools/dry_run.h"
 #include "tools/measure_chain.h"
 #include "tools/report_page.h"
 #include "tools/summary.h"
@@ -20,6 +23,7 @@ namespace {
 struct Options {
   std::string rig, paint, data, session;
   double max_theta_deg = 85;
+  bool dry_run = false, no_checks = false;
   MeasureOptions measure;
 };
 
@@ -36,7 +40,7 @@ std::string stage_text(const Measurement& m) {
   double total = 0;
   for (const auto& [stage, seconds] : m.seconds) {
     text += fmt::format(" {} {:.2f} s,", stage, seconds);
-    total += seconds;
+    if (!stage.starts_with("of this")) total += seconds;
   }
   return text + fmt::format(" total {:.2f} s", total);
 }
@@ -45,16 +49,21 @@ void run(const Options& options, const Context& context) {
   const std::filesystem::path folder = options.session;
   acquire::RigDescription rig = acquire::read_rig(options.rig, options.data);
   const bool simulated = rig.kind == acquire::RigDescription::Kind::simulated;
+  MeasureOptions measure_options = options.measure;
+  measure_options.samples.min_cosine = cosine_of_degrees("--max-theta-deg", options.max_theta_deg);
+  if (options.dry_run) return print_dry_run(rig, {.session = folder, .map = {}, .samples = measure_options.samples}, context);
+  if (folder.empty()) throw Error(ErrorCode::usage, "-o: missing; expected the folder of the session");
   std::shared_ptr<const brdf::Brdf> paint;
   if (!simulated && !options.paint.empty()) throw Error(ErrorCode::usage, "--paint: only a simulated rig can be given a paint");
   if (!options.paint.empty()) rig.simulation.paint = std::filesystem::absolute(options.paint);
   if (simulated) paint = brdf::load_brdf(rig.simulation.paint);
 
-  MeasureOptions measure_options = options.measure;
-  measure_options.samples.min_cosine = cosine_of_degrees("--max-theta-deg", options.max_theta_deg);
   measure_options.command_line = context.command_line;
   measure_options.provenance_json = provenance_json(context, {options.rig});
-  const Measurement m = measure(rig, paint, folder, measure_options, stderr_progress(context));
+  CaptureGuard guard(rig, !options.no_checks, context);
+  measure_options.before_frames = guard.before_frames();
+  Measurement m;
+  guard.run([&] { m = measure(rig, paint, folder, measure_options, stderr_progress(context)); });
 
   // The truth enters here, for the final comparison, and nowhere before.
   const auto* truth = dynamic_cast<const brdf::CookTorranceBrdf*>(paint.get());
@@ -64,9 +73,11 @@ void run(const Options& options, const Context& context) {
     compare_options.scale = !m.tabulation.table.absolute_scale;
     against_truth = brdf::compare(*paint, brdf::CookTorranceBrdf(m.fit.model), compare_options);
   }
-  fmt::print("{}\n\n", coverage_text(m.tabulation));
+  fmt::print("{}\n{}\n\n", coverage_text(m.tabulation), light_and_dark_text(m.calibration));
   fmt::print("{}\n", parameter_table(m.fit, truth ? &truth->model() : nullptr));
   fmt::print("scale: {}\n", m.tabulation.table.absolute_scale ? "absolute, 1/sr" : "relative (no reference of known reflectance)");
+  if (const double sigma = m.tabulation.table.scale_sigma; sigma > 0)
+    fmt::print("known to {:.2g} % from following the lights; this is in the errors of kd and ks, which share it\n", 100 * sigma);
   fmt::print("fit to the table: mean |ln(fit/table)| {:.5f} over {} cells, chi2/n {:.2f}{}\n", m.fit.mean_abs_log, m.fit.n_cells,
              m.fit.reduced_chi2, m.fit.converged ? "" : "; the solver did NOT converge: " + m.fit.message);
   fmt::print("{}\n", rerender_text(m.view_errors));
@@ -74,6 +85,7 @@ void run(const Options& options, const Context& context) {
   fmt::print("\n{}\n", stage_text(m));
   write_report(folder, rig, m, truth ? &truth->model() : nullptr, against_truth);
   fmt::print("session: {}\nreport: {}\n", folder.string(), (folder / "report.html").string());
+  if (plot_drift(m.calibration, folder / "drift.svg")) fmt::print("drift of the lights: {}\n", (folder / "drift.svg").string());
 }
 
 }  // namespace
@@ -82,11 +94,14 @@ void add_measure(CLI::App& app, Context& context) {
   auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("measure", "the whole chain: capture, merge, tabulate, fit, report");
   command->add_option("rig", options->rig, "rig description (TOML)")->required();
-  command->add_option("-o,--output", options->session, "session folder to create")->required();
+  command->add_option("-o,--output", options->session, "session folder to create");
   command->add_option("--paint", options->paint, "BRDF file that a simulated rig photographs (default: the rig file's)");
   command->add_option("--data", options->data, "folder of a replay rig's photographs (default: the rig file's)");
   command->add_option("--lobes", options->measure.fit.n_lobes, "lobes to fit")->capture_default_str()->check(CLI::Range(0, 5));
   command->add_option("--max-theta-deg", options->max_theta_deg, "leave out light and camera directions beyond this")->capture_default_str();
+  command->add_flag("--resume", options->measure.resume, "go on with a capture that was interrupted in this session folder");
+  command->add_flag("--no-checks", options->no_checks, "begin at once, without the check of the camera's exposure");
+  command->add_flag("--dry-run", options->dry_run, "only say what it would be: plan, duration, disk space, coverage of the table");
   command->callback([options, &context] { run(*options, context); });
 }
 

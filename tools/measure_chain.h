@@ -1,13 +1,16 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "libacquire/devices.h"
 #include "libacquire/rig_description.h"
+#include "libacquire/session.h"
 #include "libbrdf/brdf.h"
 #include "libbrdf/metrics.h"
 #include "libbrdf/progress.h"
@@ -24,10 +27,13 @@ struct MeasureOptions {
   fit::FitOptions fit;
   std::string command_line;
   std::string provenance_json;
+  bool resume = false;  ///< go on with an interrupted capture in the session folder
+  std::function<void(acquire::Rig&)> before_frames = {};  ///< as acquire::CaptureOptions
 };
 
 struct Measurement {
-  std::size_t n_views = 0;
+  acquire::Session session;
+  std::size_t n_views = 0;   ///< of all kinds
   std::size_t n_frames = 0;
   calib::Calibration calibration;
   calib::Tabulation tabulation;
@@ -36,8 +42,9 @@ struct Measurement {
   std::vector<std::pair<std::string, double>> seconds; ///< stage, wall time
 };
 
-/// Runs the rig's plan into the new folder `session` and writes everything of design.md's session files. A view is merged and
-/// sampled while its frames are in memory when the response is known; with response = "estimate" after all frames are there.
+/// Runs the rig's plan into the new folder `session` and writes everything of design.md's session files. Frames are merged as they
+/// come where the sensor is known; where it is to be found in them (response = "estimate", dark frames) after all of them are there. The
+/// drift of the lights is known at the end only, so samples are taken from the radiance files then.
 /// `paint`: what a simulated rig photographs; nothing else of the chain sees it.
 Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const brdf::Brdf> paint, const std::filesystem::path& session,
                     const MeasureOptions& options, const Progress& progress);

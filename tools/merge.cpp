@@ -9,14 +9,16 @@
 #include "libcalib/calibration.h"
 #include "libcalib/frame_list.h"
 #include "libcalib/merge_session.h"
+#include "libcalib/noise_json.h"
 #include "tools/command.h"
+#include "tools/drift_report.h"
 
 namespace lacquer::tools {
 
 namespace {
 
 struct Options {
-  std::string session, frames, output, layout = "mono", response = "estimate", save_response;
+  std::string session, frames, output, layout = "mono", response = "estimate", save_response, noise, maps;
   int bits = 8;
   calib::PhotographOptions photographs;
 };
@@ -27,42 +29,51 @@ std::string flag_text(const calib::RadianceImage& image) {
                      acquire::name_of(image.layout), image.flags.size(), count(calib::PixelFlag::clipped), count(calib::PixelFlag::dark));
 }
 
+void print_times(const calib::ExposureTimes& times) {
+  fmt::print("{:>5} {:>12} {:>12} {:>9}\n", "frame", "listed s", "fitted s", "sigma %");
+  for (std::size_t i = 0; i < times.listed_s.size(); ++i)
+    fmt::print("{:>5} {:>12.6g} {:>12.6g} {:>9.2g}{}\n", i + 1, times.listed_s[i], times.fitted_s[i], 100 * times.sigma[i],
+               std::count(times.false_frames.begin(), times.false_frames.end(), i) > 0 ? "  listed time is false" : "");
+}
+
 void run_frames(Options options, const Context& context) {
   if (options.output.empty()) throw Error(ErrorCode::usage, "-o: expected the EXR file to write, it is missing");
-  const auto frames = calib::read_listed_frames(options.frames, options.bits, acquire::pixel_layout_from_name(options.layout));
+  const acquire::PixelLayout layout = acquire::pixel_layout_from_name(options.layout);
+  if (!options.noise.empty()) options.photographs.noise = calib::read_noise_model(options.noise);
+  if (!options.maps.empty()) options.photographs.maps = calib::read_sensor_maps(options.maps);
   if (options.response == "linear")
-    options.photographs.response =
-        calib::linear_response(options.bits, acquire::n_channels(frames.front().layout), options.photographs.black_level_dn);
+    options.photographs.linear = true;
   else if (options.response != "estimate")
     options.photographs.response = calib::read_response(options.response);
-  const calib::MergedPhotographs merged = calib::merge_photographs(frames, options.photographs);
+  const calib::MergedPhotographs merged =
+      calib::merge_listed_photographs(options.frames, options.bits, layout, options.photographs, stderr_progress(context));
   calib::write_radiance(options.output, merged.image);
   if (!options.save_response.empty())
     calib::write_response(options.save_response, merged.response, provenance_json(context, {options.frames}));
   fmt::print("{}\n", flag_text(merged.image));
   if (merged.estimate)
-    fmt::print("response: estimated, {} iterations{}, residual {:.2f} % of exposure\n", merged.estimate->iterations,
+    fmt::print("response: {}, {} iterations{}, residual {:.2f} % of exposure\n",
+               merged.response.linear ? "estimated: the sensor is linear" : "estimated: a curve", merged.estimate->iterations,
                merged.estimate->converged ? "" : " (NOT converged)", 100 * merged.estimate->residual_rms);
+  if (options.photographs.fit_times) print_times(merged.times);
   fmt::print("noise ({}): gain {:.4g} e-/DN, read {:.3g} e-, relative {:.2f} %\nradiance: {}\n",
-             merged.noise_estimated ? "estimated" : "given", merged.noise.gain_e_per_dn, merged.noise.read_noise_e,
+             merged.noise_estimated ? "estimated" : (options.noise.empty() ? "given" : "measured"), merged.noise.gain_e_per_dn, merged.noise.read_noise_e,
              100 * merged.noise.relative_noise, options.output);
 }
 
 void run_session(const Options& options, const Context& context) {
   const acquire::Session session = acquire::read_session(options.session);
   const std::filesystem::path file = session.folder / "calibration.json";
-  calib::Calibration calibration;
-  if (std::filesystem::exists(file)) {
-    calibration = calib::read_calibration(file);
-  } else {
-    calibration = calib::calibration_from_rig(session.rig);
-    if (session.rig.sensor.response != acquire::SensorDescription::Response::linear)
-      calib::estimate_session_response(session, calibration);
+  const bool known = std::filesystem::exists(file);
+  const Progress progress = stderr_progress(context);
+  calib::Calibration calibration = known ? calib::read_calibration(file) : calib::sensor_calibration(session, progress);
+  calib::merge_session(session, calibration, progress);
+  // Merging shows what the lights did; the rest of a calibration that was there stays as it was.
+  if (!known || !calibration.drift_source.empty())
     calib::write_calibration(file, calibration, provenance_json(context, {(session.folder / "session.json").string()}));
-  }
-  calib::merge_session(session, calibration, stderr_progress(context));
-  fmt::print("{} views merged, response: {}, noise: {}\nradiance: {}\n", session.views.size(), calibration.response_source,
-             calibration.noise_source, (session.folder / "radiance").string());
+  fmt::print("{} views merged, response: {}, noise: {}\n{}\nradiance: {}\n", session.views.size() - session.views_of(acquire::ViewKind::dark).size(),
+             calibration.response_source, calibration.noise_source, light_and_dark_text(calibration), (session.folder / "radiance").string());
+  if (plot_drift(calibration, session.folder / "drift.svg")) fmt::print("drift of the lights: {}\n", (session.folder / "drift.svg").string());
 }
 
 }  // namespace
@@ -73,7 +84,7 @@ void add_merge(CLI::App& app, Context& context) {
   auto* session = command->add_option("session", o->session, "session folder: merges every view into SESSION/radiance");
   auto* frames = command->add_option("--frames", o->frames, "loose photographs instead: CSV with the header file,exposure_s");
   frames->excludes(session);
-  const auto loose = [&](CLI::Option* option) { option->needs(frames); };
+  const auto loose = [&](CLI::Option* option) { return option->needs(frames); };
   loose(command->add_option("-o,--output", o->output, "EXR to write: channels R G B or Y, each with .variance and .flag"));
   loose(command->add_option("--bits", o->bits, "bits of a value, right-aligned in the file")->capture_default_str()->check(CLI::Range(8, 16)));
   loose(command->add_option("--layout", o->layout, "of single-channel files: mono, rggb, grbg, gbrg, bggr")->capture_default_str());
@@ -83,6 +94,12 @@ void add_merge(CLI::App& app, Context& context) {
   loose(command->add_option("--saturation", o->photographs.saturation_dn, "DN from which values are clipped, default 2^bits - 1"));
   loose(command->add_option("--gain", o->photographs.gain_e_per_dn, "electrons per linear DN, default: estimated"));
   loose(command->add_option("--read-noise", o->photographs.read_noise_e, "electrons RMS, default: estimated"));
+  loose(command->add_option("--noise", o->noise, "JSON of lacquer calibrate noise: the measured noise and black level"))
+      ->excludes("--black-level")
+      ->excludes("--gain")
+      ->excludes("--read-noise");
+  loose(command->add_option("--maps", o->maps, "EXR of the same: offset, dark signal, flat field and bad values"));
+  loose(command->add_flag("--fit-times", o->photographs.fit_times, "take the exposure times that the pixels say instead of the listed ones"));
   command->callback([o, &context] {
     if (o->session.empty() == o->frames.empty()) throw Error(ErrorCode::usage, "merge: expected a session folder or --frames list.csv");
     o->frames.empty() ? run_session(*o, context) : run_frames(*o, context);

@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "libbrdf/files.h"
+#include "tools/drift_report.h"
 #include "tools/pictures.h"
 #include "tools/summary.h"
 
@@ -131,7 +132,8 @@ void write_report(const std::filesystem::path& session, const acquire::RigDescri
                                                "geometry: {}\nscale: {}\n",
                                                m.fit.mean_abs_log, m.fit.rms_log, m.fit.reduced_chi2, m.fit.n_cells, m.fit.n_cells_available,
                                                m.calibration.response_source, m.calibration.noise_source, m.calibration.geometry_source,
-                                               m.calibration.scale_source)));
+                                               m.calibration.scale_source)) +
+                      preformatted(light_and_dark_text(m.calibration)));
   if (against_truth) html += section("Fit against the truth", preformatted(difference_text(*against_truth)));
   html += section("Photographs re-rendered from the fit",
                   figure(brdf::read_text(session / "rerendered.png"), "Photograph, re-rendering and difference of views spread over the session") +

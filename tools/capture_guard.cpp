@@ -1,0 +1,69 @@
+#include "tools/capture_guard.h"
+
+#include <fmt/format.h>
+
+#include "libacquire/rig_check.h"
+#include "libbrdf/error.h"
+
+namespace lacquer::tools {
+
+namespace {
+
+using acquire::RigCheck;
+
+/// Ctrl-C only: a check has no length that is worth a progress line.
+Progress interruption(const Context& context) {
+  Context silent = context;
+  silent.quiet = true;
+  return stderr_progress(silent);
+}
+
+/// After a fault of a device the turntable may have switched its motor off, and says so itself.
+const char* safe_state(ErrorCode code) {
+  return code == ErrorCode::device || code == ErrorCode::timeout ? "lights off, motor stopped" : "lights off, motor held";
+}
+
+}  // namespace
+
+void print_rig_checks(acquire::Rig& rig, const acquire::RigDescription& description, const std::string& session, const Context& context) {
+  fmt::print("camera: {}\nturntable: {}\nlights: {}\n", rig.camera->description(), rig.turntable->description(), rig.lights->description());
+  std::fflush(stdout);
+  std::vector<RigCheck> checks{acquire::check_free_space(description, session)};
+  const auto of_devices = acquire::check_rig(rig, description, acquire::CheckExtent::full, interruption(context));
+  checks.insert(checks.end(), of_devices.begin(), of_devices.end());
+  std::size_t n_failed = 0;
+  for (const RigCheck& check : checks) {
+    const bool failed = check.verdict == RigCheck::Verdict::failed;
+    n_failed += failed;
+    fmt::print("{:<8}{}: {}\n", failed ? "FAILED" : check.verdict == RigCheck::Verdict::warning ? "warning" : "good", check.name, check.text);
+  }
+  if (n_failed) throw Error(ErrorCode::device, fmt::format("{}: {} of {} checks failed", description.file.string(), n_failed, checks.size()));
+}
+
+std::function<void(acquire::Rig&)> CaptureGuard::before_frames() {
+  return [this](acquire::Rig& rig) {
+    if (checks_)
+      for (const RigCheck& check : acquire::check_rig(rig, description_, acquire::CheckExtent::quick, interruption(context_))) {
+        if (check.verdict == RigCheck::Verdict::failed)
+          throw Error(ErrorCode::device, fmt::format("{}: {} (--no-checks captures all the same)", check.name, check.text));
+        if (check.verdict == RigCheck::Verdict::warning && !context_.quiet)
+          fmt::print(stderr, "lacquer: note: {}: {}\n", check.name, check.text);
+      }
+    begun_ = true;
+  };
+}
+
+void CaptureGuard::run(const std::function<void()>& work) const {
+  try {
+    work();
+  } catch (const Error& e) {
+    if (!begun_) throw;
+    throw Error(e.code(), fmt::format("{}\nlacquer: {}; resume with: {}", e.what(), safe_state(e.code()), resume_command(context_.command_line)));
+  }
+}
+
+std::string resume_command(const std::string& command_line) {
+  return (command_line + " ").find(" --resume ") != std::string::npos ? command_line : command_line + " --resume";
+}
+
+}  // namespace lacquer::tools
