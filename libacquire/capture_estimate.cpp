@@ -66,6 +66,31 @@ std::uint64_t frame_file_bytes(const RigDescription& rig) {
   return tiff_header_bytes + tiff_row_bytes * static_cast<std::uint64_t>(camera.height) + values * (rig.sensor.bits == 8 ? 1 : 2);
 }
 
+double frame_duration(const RigDescription& rig, double exposure_s) {
+  return rig.kind == RigDescription::Kind::replay ? 0 : exposure_s + readout_time(rig, exposure_s);
+}
+
+BracketSavings bracket_savings(const Session& session) {
+  BracketSavings savings;
+  std::size_t n_views = 0;
+  for (std::size_t v = 0; v < session.views.size(); ++v) {
+    const auto& bracket = session.views[v].bracket;
+    if (!bracket) continue;
+    const auto& planned = session.rig.plan[v].exposures_s;
+    savings.n_planned += planned.size();
+    for (std::size_t e = 0; e < planned.size(); ++e) {
+      if (e >= bracket->first && e <= bracket->last) continue;
+      ++savings.n_left_out;
+      savings.seconds += frame_duration(session.rig, planned[e]);
+    }
+    savings.mean_loss += bracket->mean_loss;
+    savings.largest_loss = std::max(savings.largest_loss, bracket->largest_loss);
+    ++n_views;
+  }
+  if (n_views > 0) savings.mean_loss /= static_cast<double>(n_views);
+  return savings;
+}
+
 CaptureEstimate estimate_capture(const RigDescription& rig) {
   CaptureEstimate estimate;
   double angle = 0;

@@ -60,7 +60,12 @@ void read_header(const Json& line, JournalContent& content) {
 void read_line(const Json& line, JournalContent& content) {
   const std::size_t view = index_of(line, "view");
   if (line.contains("turntable_angle_rad")) {
-    content.angles[view] = finite(line, "turntable_angle_rad");
+    JournalContent::View& begun = content.views[view];
+    begun.turntable_angle = finite(line, "turntable_angle_rad");
+    if (line.contains("bracket")) {
+      const Json& bracket = line.at("bracket");
+      begun.bracket = {index_of(bracket, "first"), index_of(bracket, "last"), finite(bracket, "mean_loss"), finite(bracket, "largest_loss")};
+    }
     return;
   }
   FrameRecord record;
@@ -131,10 +136,12 @@ void CaptureJournal::append(const std::string& line) {
   if (::fdatasync(descriptor_) != 0 && errno != EINVAL) fail_system(file_, "cannot be written to disk");
 }
 
-void CaptureJournal::view(std::size_t view, double turntable_angle) {
+void CaptureJournal::view(std::size_t view, double turntable_angle, const std::optional<BracketChoice>& bracket) {
   Json j;
   j["view"] = view;
   j["turntable_angle_rad"] = turntable_angle;
+  if (bracket)
+    j["bracket"] = {{"first", bracket->first}, {"last", bracket->last}, {"mean_loss", bracket->mean_loss}, {"largest_loss", bracket->largest_loss}};
   append(j.dump());
 }
 

@@ -16,7 +16,11 @@ struct JournalContent {
   std::string software, command_line;
   double begun_unix_s = 0;                                                ///< wall clock when the capture began, seconds since 1970 UTC
   std::map<std::string, std::string> rig_files;                           ///< as Session
-  std::map<std::size_t, double> angles;                                   ///< view -> turntable angle read back, radians
+  struct View {
+    double turntable_angle = 0;            ///< read back, radians
+    std::optional<BracketChoice> bracket;
+  };
+  std::map<std::size_t, View> views;                                      ///< those that were begun
   std::map<std::pair<std::size_t, std::size_t>, FrameRecord> frames;      ///< view and exposure
 };
 
@@ -32,7 +36,7 @@ class CaptureJournal {
   CaptureJournal(const CaptureJournal&) = delete;
   CaptureJournal& operator=(const CaptureJournal&) = delete;
 
-  void view(std::size_t view, double turntable_angle);
+  void view(std::size_t view, double turntable_angle, const std::optional<BracketChoice>& bracket);
   void frame(std::size_t view, std::size_t exposure, const FrameRecord& record);
   /// The session is written: the journal goes.
   void remove();

@@ -1,8 +1,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <map>
 #include <optional>
+#include <ranges>
 
+#include "libacquire/adaptive_bracket.h"
 #include "libacquire/capture_clock.h"
 #include "libacquire/capture_journal.h"
 #include "libacquire/frame_writer.h"
@@ -169,43 +172,96 @@ double last_frame_time(const JournalContent& journal) {
   return last;
 }
 
-/// All views of the plan; those on disk are only handed over, without moving anything.
-void run_plan(Rig& rig, const RigDescription& description, const Session& session, const JournalContent& journal, const CaptureClock& clock,
-              FrameWriter& writer, const Progress& progress) {
-  std::size_t n_frames = 0, done = 0;
-  for (const PlannedView& view : description.plan) n_frames += view.exposures_s.size();
-  const auto report = [&] {
-    if (progress) progress("capture", done, n_frames);
-  };
-  report();
-  for (std::size_t v = 0; v < description.plan.size(); ++v) {
-    const PlannedView& planned = description.plan[v];
-    std::vector<const FrameRecord*> kept;
-    for (std::size_t e = 0; e < planned.exposures_s.size(); ++e) kept.push_back(kept_frame(session, journal, v, e));
-    const auto known_angle = journal.angles.find(v);
-    std::optional<double> angle;
-    if (known_angle != journal.angles.end()) angle = known_angle->second;
-    if (!angle || std::count(kept.begin(), kept.end(), nullptr) > 0) {
-      const double now = rig.turntable->move_to(planned.turntable_angle);
-      if (!angle) angle = now;
-      if (planned.kind == ViewKind::dark)
-        rig.lights->off();
-      else
-        rig.lights->on(planned.light);  // and stays on: an LED that is switched between frames is never warm
+/// Carries out a plan view by view. Frames that are on disk are only handed over, without moving anything.
+class PlanRunner {
+ public:
+  PlanRunner(Rig& rig, const RigDescription& description, const Session& session, const JournalContent& journal, const CaptureClock& clock,
+             const CaptureOptions& options, FrameWriter& writer, const Progress& progress)
+      : rig_(rig), description_(description), session_(session), journal_(journal), clock_(clock), writer_(writer), progress_(progress) {
+    for (const PlannedView& view : description.plan) n_frames_ += view.exposures_s.size();
+    if (!description.adaptive_loss) return;
+    if (!options.noise) throw Error(ErrorCode::usage, "an adaptive bracket needs the noise of the sensor");
+    bracket_.emplace(description, *options.noise);
+  }
+
+  void run() {
+    report();
+    for (std::size_t v = 0; v < description_.plan.size(); ++v) run_view(v);
+  }
+
+ private:
+  using Items = std::map<std::size_t, FrameWriter::Item>;  // by exposure
+
+  void report() const {
+    if (progress_) progress_("capture", n_done_, n_frames_);
+  }
+
+  /// Turntable and light as planned; returns the angle read back.
+  double go_to(const PlannedView& planned) {
+    const double angle = rig_.turntable->move_to(planned.turntable_angle);
+    if (planned.kind == ViewKind::dark)
+      rig_.lights->off();
+    else
+      rig_.lights->on(planned.light);  // and stays on: an LED that is switched between frames is never warm
+    return angle;
+  }
+
+  /// What the journal has of a view, if it holds together with the plan.
+  const JournalContent::View* begun_view(std::size_t v) const {
+    const auto found = journal_.views.find(v);
+    if (found == journal_.views.end()) return nullptr;
+    const auto& bracket = found->second.bracket;
+    if (bracket && (bracket->first > bracket->last || bracket->last >= description_.plan[v].exposures_s.size()))
+      throw Error(ErrorCode::file, fmt::format("{}: view {}: bracket: not one of the plan; the capture cannot be resumed",
+                                               (session_.folder / "capture.jsonl").string(), v));
+    return &found->second;
+  }
+
+  void run_view(std::size_t v) {
+    const PlannedView& planned = description_.plan[v];
+    const auto& times = planned.exposures_s;
+    ViewRecord record{planned.id, 0, planned.light, planned.kind};
+    const JournalContent::View* begun = begun_view(v);
+    Items items;  // on disk, or taken to choose the bracket
+    if (begun) {
+      record.turntable_angle = begun->turntable_angle;
+      record.bracket = begun->bracket;
+      for (std::size_t e = 0; e < times.size(); ++e)
+        if (const FrameRecord* kept = kept_frame(session_, journal_, v, e)) items[e] = {.view = v, .exposure = e, .record = *kept, .frame = {}, .on_disk = true};
+    } else {
+      record.turntable_angle = go_to(planned);
+      if (bracket_ && planned.kind != ViewKind::dark)
+        record.bracket = bracket_->choose(planned, record.turntable_angle, [&](std::size_t e) -> const RawFrame& {
+          report();
+          return (items[e] = take_frame(rig_, description_, clock_, v, e)).frame;
+        });
     }
-    writer.begin_view(v, *angle, known_angle != journal.angles.end());
-    for (std::size_t e = 0; e < planned.exposures_s.size(); ++e) {
-      if (kept[e]) {
-        if (rig.frame_exists) rig.frame_exists(v, e);
-        writer.push({.view = v, .exposure = e, .record = *kept[e], .frame = {}, .on_disk = true});
-      } else {
-        writer.push(take_frame(rig, description, clock, v, e));
-      }
-      ++done;
+    const std::size_t first = record.bracket ? record.bracket->first : 0, last = record.bracket ? record.bracket->last : times.size() - 1;
+    const auto missing = [&](std::size_t e) { return !items.contains(e); };
+    const auto chosen = std::views::iota(first, last + 1);
+    if (begun && std::ranges::any_of(chosen, missing)) go_to(planned);
+    for (const std::size_t e : chosen) record.exposures_s.push_back(times[e]);
+    writer_.begin_view(std::move(record), begun != nullptr);
+    for (std::size_t e = 0; e < times.size(); ++e) {
+      const bool left_out = e < first || e > last;
+      const auto item = items.find(e);
+      if (rig_.frame_exists && (left_out || (item != items.end() && item->second.on_disk))) rig_.frame_exists(v, e);
+      if (!left_out) writer_.push(item != items.end() ? std::move(item->second) : take_frame(rig_, description_, clock_, v, e));
+      ++n_done_;
       report();
     }
   }
-}
+
+  Rig& rig_;
+  const RigDescription& description_;
+  const Session& session_;
+  const JournalContent& journal_;
+  const CaptureClock& clock_;
+  FrameWriter& writer_;
+  const Progress& progress_;
+  std::optional<AdaptiveBracket> bracket_;
+  std::size_t n_frames_ = 0, n_done_ = 0;
+};
 
 }  // namespace
 
@@ -247,7 +303,7 @@ Session capture_session(Rig& rig, const RigDescription& description, const fs::p
   CaptureJournal lines(folder, session, found == Found::nothing, journal.begun_unix_s);
   const CaptureClock clock(found == Found::nothing ? 0 : elapsed_since(journal.begun_unix_s, unix_time(), last_frame_time(journal)));
   FrameWriter writer(session, lines, sink);
-  run_plan(rig, description, session, journal, clock, writer, progress);
+  PlanRunner(rig, description, session, journal, clock, options, writer, progress).run();
   writer.finish();
   write_session(session);
   lines.remove();

@@ -77,8 +77,8 @@ struct Rig {
   std::unique_ptr<Turntable> turntable;
   std::unique_ptr<LightSwitch> lights;
   std::unique_ptr<Camera> camera;
-  /// Called instead of taking a frame of the plan that exists from an earlier, interrupted run. Rigs that answer from memory or by a
-  /// generator count it as taken; hardware needs nothing.
+  /// Called instead of taking a frame of the plan that exists from an earlier, interrupted run, or that an adaptive bracket leaves out.
+  /// Rigs that answer from memory or by a generator count it as taken; hardware needs nothing.
   std::function<void(std::size_t view, std::size_t exposure)> frame_exists;
 
   /// When the exposure of the last frame began, seconds since the capture did, of rigs that know better than the clock of this computer:

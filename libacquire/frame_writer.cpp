@@ -1,5 +1,7 @@
 #include "libacquire/frame_writer.h"
 
+#include <utility>
+
 namespace lacquer::acquire {
 
 namespace {
@@ -23,10 +25,9 @@ FrameWriter::~FrameWriter() {
   if (thread_.joinable()) thread_.join();
 }
 
-void FrameWriter::begin_view(std::size_t view, double turntable_angle, bool recorded) {
+void FrameWriter::begin_view(ViewRecord view, bool recorded) {
   const std::lock_guard lock(mutex_);
-  const PlannedView& planned = session_.rig.plan[view];
-  begun_.push_back({{planned.id, turntable_angle, planned.light, planned.kind, {}}, recorded});
+  begun_.emplace_back(std::move(view), recorded);
 }
 
 void FrameWriter::push(Item item) {
@@ -77,11 +78,11 @@ void FrameWriter::process(Item& item) {
   {
     const std::lock_guard lock(mutex_);
     hand_over = !abandoned_;
-    if (item.exposure == 0) {
+    if (view_.frames.empty()) {
       view_ = std::move(begun_.front().first);
       const bool recorded = begun_.front().second;
       begun_.pop_front();
-      if (!recorded) journal_.view(item.view, view_.turntable_angle);
+      if (!recorded) journal_.view(item.view, view_.turntable_angle, view_.bracket);
     }
   }
   if (item.on_disk) {
@@ -92,9 +93,9 @@ void FrameWriter::process(Item& item) {
   }
   view_.frames.push_back(item.record);
   if (hand_over && sink_.frame) sink_.frame(view_, item.frame);
-  if (view_.frames.size() < session_.rig.plan[item.view].exposures_s.size()) return;
+  if (view_.frames.size() < view_.exposures_s.size()) return;
   if (hand_over && sink_.view) sink_.view(view_);
-  session_.views.push_back(std::move(view_));
+  session_.views.push_back(std::exchange(view_, {}));
 }
 
 }  // namespace lacquer::acquire

@@ -28,8 +28,8 @@ class FrameWriter {
   FrameWriter(const FrameWriter&) = delete;
   FrameWriter& operator=(const FrameWriter&) = delete;
 
-  /// Begins a view; its frames follow in the order of exposures.
-  void begin_view(std::size_t view, double turntable_angle, bool recorded);
+  /// Begins a view; as many frames as it has exposures_s follow. `recorded`: its angle and bracket are in the journal already.
+  void begin_view(ViewRecord view, bool recorded);
   /// Waits while too many frames wait. Throws what writing or the sink threw.
   void push(Item item);
   void finish();
@@ -45,7 +45,7 @@ class FrameWriter {
   std::condition_variable changed_;
   std::deque<Item> waiting_;
   std::size_t waiting_bytes_ = 0;
-  std::deque<std::pair<ViewRecord, bool>> begun_;  ///< views whose first frame has not been processed; is its angle in the journal?
+  std::deque<std::pair<ViewRecord, bool>> begun_;  ///< views whose first frame has not been processed; and whether they are recorded
   bool ending_ = false, abandoned_ = false;
   std::exception_ptr failure_;
   ViewRecord view_;  ///< of the thread

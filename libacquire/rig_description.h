@@ -99,6 +99,7 @@ struct RigDescription {
   SensorDescription sensor;
   MaskDescription mask;
   std::vector<PlannedView> plan;
+  std::optional<double> adaptive_loss;  ///< each view takes only the exposures it needs: largest mean loss of sigma, relative; nullopt: all of them
   std::optional<PixelRectangle> reference_patch;  ///< a white patch beside the sphere that sees each light alike in every view
   SimulationDescription simulation;
   DevicesDescription devices;     ///< of a rig of kind hardware

@@ -133,6 +133,18 @@ void plan_darks(const TomlTable& plan, RigDescription& rig) {
   rig.plan.insert(rig.plan.end(), static_cast<std::size_t>(n_frames), dark);
 }
 
+void read_adaptive(const TomlTable& plan, RigDescription& rig) {
+  constexpr double usual_loss = 0.01;
+  const double loss = plan.number("adaptive_loss", Range::above(0, 10), usual_loss);
+  if (!plan.boolean("adaptive", false)) {
+    if (plan.has("adaptive_loss")) plan.fail("adaptive_loss", "only with adaptive = true");
+    return;
+  }
+  if (rig.sensor.response != SensorDescription::Response::linear)
+    plan.fail("adaptive", "only with sensor.response = \"linear\"; a curve is found from whole brackets");
+  rig.adaptive_loss = loss;
+}
+
 void name_views(std::vector<PlannedView>& plan) {
   std::array<int, 3> n{};
   for (PlannedView& view : plan) {
@@ -199,6 +211,8 @@ void plan_replay(const std::optional<TomlTable>& plan, const TomlTable& replay, 
   if (plan && plan->has("exposures_ms")) plan->fail("exposures_ms", "photographs state their times in replay.exposures_s");
   for (const char* key : {"reference_every", "dark_frames"})
     if (plan && plan->has(key)) plan->fail(key, "only where frames are taken; of photographs it is not known when they were");
+  for (const char* key : {"adaptive", "adaptive_loss"})
+    if (plan && plan->has(key)) plan->fail(key, "only where frames are taken");
   if (plan && plan->has("angles_deg")) angles = read_angles(*plan);
   if (plan && plan->has("lights")) lights = read_light_choice(*plan, rig.geometry);
   if (angles.size() > 1 && angles.size() != n_views)
@@ -226,7 +240,7 @@ void plan_replay(const std::optional<TomlTable>& plan, const TomlTable& replay, 
 }  // namespace
 
 void read_plan(const TomlTable& root, const RigFiles& files, RigDescription& rig) {
-  const auto plan = root.table("plan", {"angles_deg", "exposures_ms", "lights", "reference_every", "dark_frames"});
+  const auto plan = root.table("plan", {"angles_deg", "exposures_ms", "lights", "reference_every", "dark_frames", "adaptive", "adaptive_loss"});
   if (const auto replay = replay_table(root)) {
     plan_replay(plan, *replay, files, rig);
   } else {
@@ -234,6 +248,7 @@ void read_plan(const TomlTable& root, const RigFiles& files, RigDescription& rig
     plan_captures(*plan, rig);
     plan_references(*plan, rig);
     plan_darks(*plan, rig);
+    read_adaptive(*plan, rig);
   }
   name_views(rig.plan);
 }

@@ -105,7 +105,19 @@ ViewRecord read_view_record(const Field& json, const PlannedView& planned, int n
   view.id = json["id"].plain_name("");
   view.turntable_angle = json["turntable_angle_rad"].number(-1e4, 1e4);
   view.light = planned.kind == ViewKind::dark ? json["light"].integer(-1, -1) : json["light"].integer(0, n_lights - 1);
-  for (const Field& frame : json["frames"].items(1, max_frames_per_view)) view.frames.push_back(read_frame_record(frame));
+  for (const Field& frame : json["frames"].items(1, max_frames_per_view)) {
+    view.frames.push_back(read_frame_record(frame));
+    const double asked = frame.has("asked_exposure_s") ? frame["asked_exposure_s"].number(1e-9, 1e6) : view.frames.back().exposure_s;
+    if (!view.exposures_s.empty() && asked < view.exposures_s.back()) frame["asked_exposure_s"].fail("expected ascending times");
+    view.exposures_s.push_back(asked);
+  }
+  if (json.has("bracket")) {
+    const Field bracket = json["bracket"];
+    const int last_planned = static_cast<int>(planned.exposures_s.size()) - 1;
+    const int first = bracket["first_exposure"].integer(0, last_planned), last = bracket["last_exposure"].integer(first, last_planned);
+    view.bracket = {static_cast<std::size_t>(first), static_cast<std::size_t>(last), bracket["predicted_mean_loss"].number(0, 1e9),
+                    bracket["predicted_largest_loss"].number(0, 1e9)};
+  }
   return view;
 }
 
@@ -131,7 +143,7 @@ Json json_of(const ViewRecord& view, const PlannedView& planned) {
     Json j;
     j["file"] = frame.file;
     j["exposure_s"] = frame.exposure_s;
-    j["asked_exposure_s"] = i < planned.exposures_s.size() ? planned.exposures_s[i] : frame.exposure_s;
+    j["asked_exposure_s"] = i < view.exposures_s.size() ? view.exposures_s[i] : frame.exposure_s;
     if (frame.gain_db != 0) j["gain_db"] = frame.gain_db;
     if (frame.time_s) j["time_s"] = *frame.time_s;
     j["checksum"] = frame.checksum;
@@ -144,6 +156,9 @@ Json json_of(const ViewRecord& view, const PlannedView& planned) {
   j["light"] = view.light;
   j["turntable_angle_rad"] = view.turntable_angle;
   j["asked_turntable_angle_rad"] = planned.turntable_angle;
+  if (view.bracket)
+    j["bracket"] = {{"first_exposure", view.bracket->first}, {"last_exposure", view.bracket->last},
+                    {"predicted_mean_loss", view.bracket->mean_loss}, {"predicted_largest_loss", view.bracket->largest_loss}};
   j["frames"] = std::move(frames);
   return j;
 }

@@ -22,12 +22,21 @@ struct FrameRecord {
   std::optional<double> time_s;  ///< when the exposure began, seconds since the capture did; photographs: not known
 };
 
+/// Which exposures of the plan an adaptive bracket takes, and what leaving out the others costs, as the noise model predicts it.
+struct BracketChoice {
+  std::size_t first = 0, last = 0;  ///< of PlannedView::exposures_s
+  double mean_loss = 0;             ///< sigma of a merged value over that of the full bracket, minus 1: mean over the lit paint
+  double largest_loss = 0;          ///< and largest
+};
+
 struct ViewRecord {
   std::string id;              ///< "L012", as planned
   double turntable_angle = 0;  ///< radians, read back
   int light = 0;               ///< -1: dark
   ViewKind kind = ViewKind::measurement;
-  std::vector<FrameRecord> frames;
+  std::vector<double> exposures_s = {};  ///< as planned, of the frames that this view has when it is complete; ascending
+  std::optional<BracketChoice> bracket = {};  ///< nullopt: all that were planned
+  std::vector<FrameRecord> frames = {};
 
   /// Mean time of the middle of its exposures; nullopt where one is not known.
   std::optional<double> time_s() const;
@@ -77,6 +86,15 @@ struct FrameSink {
 constexpr std::size_t min_waiting_frames = 4;
 constexpr std::size_t max_waiting_bytes = std::size_t{64} << 20;
 
+/// Noise of a value as an adaptive bracket predicts it, DN of a linear sensor.
+struct SensorNoise {
+  double black_level_dn = 0;
+  double saturation_dn = 0;   ///< raw values >= this are clipped
+  double gain_e_per_dn = 1;
+  double read_noise_e = 2;    ///< RMS
+  double relative_noise = 0;  ///< RMS fraction of the signal
+};
+
 struct CaptureOptions {
   std::string command_line;
   /// Goes on with a capture that was interrupted: same rig file, same folder. Frames that are on disk and have the recorded checksum are
@@ -84,6 +102,8 @@ struct CaptureOptions {
   bool resume = false;
   /// Called once when the folder is ready, before the first frame: checks of the devices. What it throws ends the capture there.
   std::function<void(Rig&)> before_frames = {};
+  /// Rigs with an adaptive bracket need it.
+  std::optional<SensorNoise> noise = {};
 };
 
 /// Runs the plan and writes frames, rig.toml and session.json into `folder`, which must be new or empty unless options.resume.

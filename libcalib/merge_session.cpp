@@ -55,13 +55,22 @@ Calibration sensor_calibration(const acquire::Session& session, const Progress& 
   return calibration;
 }
 
+acquire::SensorNoise bracket_noise(const Calibration& calibration) {
+  const NoiseModel& noise = calibration.noise;
+  return {.black_level_dn = noise.black_level_dn,
+          .saturation_dn = static_cast<double>(saturation_value(noise, calibration.response.bits)),
+          .gain_e_per_dn = noise.gain_e_per_dn,
+          .read_noise_e = noise.read_noise_e,
+          .relative_noise = noise.relative_noise};
+}
+
 SessionMerger::SessionMerger(const acquire::RigDescription& rig, std::filesystem::path folder, const Calibration& calibration)
     : calibration_(calibration), folder_(std::move(folder)), follower_(rig) {}
 
-void SessionMerger::add(const acquire::ViewRecord& view, const acquire::RawFrame& frame, const std::vector<double>& planned_times) {
+void SessionMerger::add(const acquire::ViewRecord& view, const acquire::RawFrame& frame) {
   if (view.kind == acquire::ViewKind::dark) return;
-  if (!merger_ || planned_times != times_) merger_.emplace(calibration_.response, calibration_.noise, planned_times, calibration_.maps);
-  times_ = planned_times;
+  if (!merger_ || view.exposures_s != times_) merger_.emplace(calibration_.response, calibration_.noise, view.exposures_s, calibration_.maps);
+  times_ = view.exposures_s;
   merger_->add(frame);
 }
 
@@ -86,7 +95,7 @@ void merge_session(const acquire::Session& session, Calibration& calibration, co
     const acquire::RawFrame frame = next.get();
     if (k + 1 < records.size()) next = std::async(std::launch::async, read, k + 1);
     const std::size_t v = records[k].first;
-    merger.add(session.views[v], frame, session.rig.plan[v].exposures_s);
+    merger.add(session.views[v], frame);
     if (k + 1 < records.size() && records[k + 1].first == v) continue;
     merger.finish_view(session.views[v]);
     if (progress) progress("merge", v + 1, session.views.size());

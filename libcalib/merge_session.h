@@ -21,14 +21,17 @@ Calibration sensor_calibration(const acquire::Session& session, const Progress& 
 /// Does sensor_calibration() need the captured frames? If not, frames can be merged as they come, with calibration_from_rig().
 bool sensor_needs_session(const acquire::RigDescription& rig);
 
+/// What an adaptive bracket predicts with.
+acquire::SensorNoise bracket_noise(const Calibration& calibration);
+
 /// Merges the frames of a session, as they come or from its files, into SESSION/radiance/<view>.exr and follows the lights meanwhile.
 class SessionMerger {
  public:
   /// `calibration`: response, noise and maps are used; must outlive the merger.
   SessionMerger(const acquire::RigDescription& rig, std::filesystem::path folder, const Calibration& calibration);
 
-  /// Next frame of a view, in the order of the plan; `planned_times`: exposure times of the view in the plan, seconds. Dark views: ignored.
-  void add(const acquire::ViewRecord& view, const acquire::RawFrame& frame, const std::vector<double>& planned_times);
+  /// Next frame of a view, in the order of the plan; view.exposures_s says how many there will be. Dark views: ignored.
+  void add(const acquire::ViewRecord& view, const acquire::RawFrame& frame);
   /// All frames of the view are there.
   void finish_view(const acquire::ViewRecord& view);
   /// All views are merged: what the lights did goes into `calibration`.

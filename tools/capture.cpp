@@ -9,6 +9,7 @@
 #include "libacquire/session.h"
 #include "libbrdf/brdf.h"
 #include "libbrdf/error.h"
+#include "libcalib/merge_session.h"
 #include "tools/capture_guard.h"
 #include "tools/command.h"
 #include "tools/dry_run.h"
@@ -43,13 +44,14 @@ void run(const Options& options, const Context& context) {
   CaptureGuard guard(rig, !options.no_checks, context);
   acquire::Session session;
   guard.run([&] {
-    session = acquire::capture_session(devices, rig, options.session, {context.command_line, options.resume, guard.before_frames()},
+    session = acquire::capture_session(devices, rig, options.session, {context.command_line, options.resume, guard.before_frames(), calib::bracket_noise(calib::calibration_from_rig(rig))},
                                        stderr_progress(context));
   });
   std::size_t n_frames = 0;
   for (const acquire::ViewRecord& view : session.views) n_frames += view.frames.size();
   fmt::print("{}: {} views, {} frames, {:.1f} s\n", session.folder.string(), session.views.size(), n_frames,
              std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
+  fmt::print("{}", bracket_text(session));
 }
 
 }  // namespace

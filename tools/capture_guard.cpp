@@ -2,8 +2,10 @@
 
 #include <fmt/format.h>
 
+#include "libacquire/capture_estimate.h"
 #include "libacquire/rig_check.h"
 #include "libbrdf/error.h"
+#include "tools/dry_run.h"
 
 namespace lacquer::tools {
 
@@ -42,6 +44,9 @@ void print_rig_checks(acquire::Rig& rig, const acquire::RigDescription& descript
 
 std::function<void(acquire::Rig&)> CaptureGuard::before_frames() {
   return [this](acquire::Rig& rig) {
+    const std::string camera_warning = rig.camera->warning();
+    if (!checks_ && !camera_warning.empty() && !context_.quiet)
+      fmt::print(stderr, "lacquer: note: camera: {}: {}\n", rig.camera->description(), camera_warning);
     if (checks_)
       for (const RigCheck& check : acquire::check_rig(rig, description_, acquire::CheckExtent::quick, interruption(context_))) {
         if (check.verdict == RigCheck::Verdict::failed)
@@ -60,6 +65,13 @@ void CaptureGuard::run(const std::function<void()>& work) const {
     if (!begun_) throw;
     throw Error(e.code(), fmt::format("{}\nlacquer: {}; resume with: {}", e.what(), safe_state(e.code()), resume_command(context_.command_line)));
   }
+}
+
+std::string bracket_text(const acquire::Session& session) {
+  if (!session.rig.adaptive_loss) return "";
+  const acquire::BracketSavings s = acquire::bracket_savings(session);
+  return fmt::format("adaptive bracket: {} of {} frames left out, {} saved; predicted loss of sigma: {:.2f} % mean, {:.1f} % at most\n", s.n_left_out, s.n_planned,
+                     duration_text(s.seconds), 100 * s.mean_loss, 100 * s.largest_loss);
 }
 
 std::string resume_command(const std::string& command_line) {

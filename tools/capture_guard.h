@@ -5,6 +5,7 @@
 
 #include "libacquire/devices.h"
 #include "libacquire/rig_description.h"
+#include "libacquire/session.h"
 #include "tools/command.h"
 
 /// What commands that photograph do before the first frame and when they end early.
@@ -31,6 +32,9 @@ class CaptureGuard {
   const Context& context_;
   bool begun_ = false;
 };
+
+/// What the adaptive brackets of a session saved, and what it cost: one line. Empty: it has none.
+std::string bracket_text(const acquire::Session& session);
 
 /// `command_line` with --resume.
 std::string resume_command(const std::string& command_line);

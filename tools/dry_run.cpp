@@ -44,9 +44,12 @@ std::string plan_text(const acquire::RigDescription& rig, const acquire::Capture
   if (estimate.n_references) views += fmt::format(", {} reference views", estimate.n_references);
   if (estimate.n_darks) views += fmt::format(", {} dark views", estimate.n_darks);
   const auto& camera = rig.geometry.camera;
-  return fmt::format("rig: {} ({})\nframes: {}, {} frames of {} x {} {}, {} bit\nangles: {}\nlights: {} ({})\nexposures: {}\n", rig.name,
+  const std::string adaptive = rig.adaptive_loss ? fmt::format("; adaptive: each view takes those it needs, {:g} % loss of sigma in the mean at most, so that frames, "
+                                                               "duration and disk are upper limits", 100 * *rig.adaptive_loss)
+                                                 : "";
+  return fmt::format("rig: {} ({})\nframes: {}, {} frames of {} x {} {}, {} bit\nangles: {}\nlights: {} ({})\nexposures: {}{}\n", rig.name,
                      rig.file.string(), views, estimate.n_frames, camera.width, camera.height, name_of(rig.sensor.layout),
-                     rig.sensor.bits, list_text(angles, degrees, "deg"), lights.size(), names, list_text(exposures, 1e3, "ms"));
+                     rig.sensor.bits, list_text(angles, degrees, "deg"), lights.size(), names, list_text(exposures, 1e3, "ms"), adaptive);
 }
 
 std::string time_text(const acquire::RigDescription& rig, const acquire::CaptureEstimate& e) {

@@ -82,7 +82,7 @@ void run(const Options& options, const Context& context) {
              m.fit.reduced_chi2, m.fit.converged ? "" : "; the solver did NOT converge: " + m.fit.message);
   fmt::print("{}\n", rerender_text(m.view_errors));
   if (against_truth) fmt::print("\nfit against the truth ({}):\n{}", paint->description(), difference_text(*against_truth));
-  fmt::print("\n{}\n", stage_text(m));
+  fmt::print("\n{}{}\n", bracket_text(m.session), stage_text(m));
   write_report(folder, rig, m, truth ? &truth->model() : nullptr, against_truth);
   fmt::print("session: {}\nreport: {}\n", folder.string(), (folder / "report.html").string());
   if (plot_drift(m.calibration, folder / "drift.svg")) fmt::print("drift of the lights: {}\n", (folder / "drift.svg").string());

@@ -33,22 +33,21 @@ Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const br
   const calib::Calibration nominal = calib::calibration_from_rig(rig);
   calib::SessionMerger merger(rig, folder, nominal);
   acquire::FrameSink sink;
-  std::size_t n_views = 0;
   double merge_seconds = 0;  // on the capture's own thread; what it takes of the capture's time cannot be told apart
   if (merge_meanwhile) {
     sink.frame = [&](const acquire::ViewRecord& view, const acquire::RawFrame& frame) {
       Stopwatch merging;
-      merger.add(view, frame, rig.plan[n_views].exposures_s);
+      merger.add(view, frame);
       merge_seconds += merging.lap();
     };
     sink.view = [&](const acquire::ViewRecord& view) {
       Stopwatch merging;
       merger.finish_view(view);
-      ++n_views;
       merge_seconds += merging.lap();
     };
   }
-  m.session = acquire::capture_session(devices, rig, folder, {options.command_line, options.resume, options.before_frames}, progress, sink);
+  m.session = acquire::capture_session(devices, rig, folder, {options.command_line, options.resume, options.before_frames, calib::bracket_noise(nominal)},
+                                       progress, sink);
   m.n_views = m.session.views.size();
   for (const auto& view : m.session.views) m.n_frames += view.frames.size();
   m.seconds.emplace_back(merge_meanwhile ? "capture and merge" : "capture", watch.lap());

@@ -150,7 +150,7 @@ void measure(const std::string& name, int views, int exposures, bool merging, bo
   acquire::FrameSink sink;
   sink.frame = [&](const acquire::ViewRecord& view, const acquire::RawFrame& frame) {
     const auto start = Clock::now();
-    if (merging) merger.add(view, frame, rig.plan[0].exposures_s);
+    if (merging) merger.add(view, frame);
     merge_s += seconds_since(start);
     ++observed.n_merged;
   };
