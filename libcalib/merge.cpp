@@ -82,7 +82,7 @@ struct Stretches {
 ExposureValues exposure_values(const SensorTables& tables, const RawFrame& frame, std::size_t index, std::size_t first) {
   const auto basis = time_basis(frame.actual.exposure_s);
   return {frame.data.data() + first, static_cast<float>(basis[1]), static_cast<float>(basis[2]), std::uint32_t{1} << (index % 32),
-          tables.linear() ? nullptr : tables.table(frame.actual.exposure_s)};
+          tables.is_shortest(frame.actual.exposure_s)};
 }
 
 /// Frames by time, equal times by content: any order of the input gives the same bytes.

@@ -19,14 +19,36 @@ constexpr double bound_sigmas = 4;
 constexpr double certain_sigmas = 3;
 /// Radiances for which that is not quite clear are looked at in full.
 constexpr double margin = 1.1;
+/// Curves of more bits are kept as nodes, exact at every so many-th value and straight in between: 32 kB per channel.
+constexpr int largest_whole_table_bits = 12;
 /// Levels of a curve whose relative variance exceeds the best by this factor count as clipped.
 constexpr double worst_relative_variance = 4;
 
-/// phi(a) / Q(a) of the normal distribution: by how much a value known to lie above a exceeds its mean, in sigmas.
-double mills_ratio(double a) {
-  if (a > 25) return a + 1 / a;  // asymptote; erfc underflows near 37
-  return std::sqrt(2 / std::numbers::pi) * std::exp(-a * a / 2) / std::erfc(a / std::numbers::sqrt2);
-}
+/// phi(a) / Q(a) of the normal distribution: by how much a value known to lie above a exceeds its mean, in sigmas. Within 1e-7.
+class MillsRatio {
+ public:
+  MillsRatio() {
+    for (int i = 0; i <= n; ++i) nodes_[static_cast<std::size_t>(i)] = exact(lowest + i / per_unit);
+  }
+  double operator()(double a) const {
+    if (!(a > lowest)) return 0;                 // below 1e-14
+    if (a >= highest) return a + 1 / a;          // asymptote; erfc underflows near 37
+    const double position = (a - lowest) * per_unit;
+    const auto i = static_cast<std::size_t>(position);
+    // Cubic through values and derivatives, which are lambda (lambda - a).
+    const double u = position - static_cast<double>(i), w = 1 - u, low = nodes_[i], high = nodes_[i + 1], at = lowest + static_cast<double>(i) / per_unit;
+    const double slope_low = low * (low - at) / per_unit, slope_high = high * (high - at - 1 / per_unit) / per_unit;
+    return w * w * (low * (1 + 2 * u) + slope_low * u) + u * u * (high * (1 + 2 * w) - slope_high * w);
+  }
+
+ private:
+  static constexpr double lowest = -8, highest = 24, per_unit = 16;
+  static constexpr int n = static_cast<int>((highest - lowest) * per_unit);
+  static double exact(double a) { return std::sqrt(2 / std::numbers::pi) * std::exp(-a * a / 2) / std::erfc(a / std::numbers::sqrt2); }
+  std::array<double, n + 1> nodes_;
+};
+
+const MillsRatio mills_ratio;
 
 /// Lowest value of a curve's shoulder on which a longer exposure tells hardly anything; `saturation` where there is none.
 std::size_t shoulder(const std::vector<double>& exposure, std::size_t saturation, const NoiseModel& noise) {
@@ -45,29 +67,37 @@ std::size_t shoulder(const std::vector<double>& exposure, std::size_t saturation
 }  // namespace
 
 SensorTables::SensorTables(const Response& response, const NoiseModel& noise, double shortest_s)
-    : linear_(response.linear), black_(static_cast<float>(-response.curves.front().exposure.front())), shortest_s_(shortest_s) {
+    : linear_(response.linear),
+      black_(static_cast<float>(-response.curves.front().exposure.front())),
+      bits_(response.bits),
+      node_shift_(std::max(0, response.bits - largest_whole_table_bits)),
+      shortest_s_(shortest_s) {
   const auto saturation = static_cast<std::size_t>(saturation_value(noise, response.bits));
-  clipped_value_ = static_cast<int>(saturation);
-  n_values_ = std::size_t{1} << response.bits;
   for (const ResponseCurve& curve : response.curves) {
-    Channel& c = channels_.emplace_back();
-    const auto threshold_of = [&](std::size_t clipped) { return (curve.exposure[clipped] + curve.exposure[clipped - 1]) / 2; };
-    c.threshold = c.shortest_threshold = threshold_of(saturation);
+    const std::vector<double>& exposure = curve.exposure;
+    const std::size_t top = linear_ ? saturation : shoulder(exposure, saturation, noise);
+    const auto threshold_of = [&](std::size_t clipped) { return (exposure[clipped] + exposure[clipped - 1]) / 2; };
+    channels_.push_back({threshold_of(top), threshold_of(saturation), static_cast<std::int32_t>(top), static_cast<std::int32_t>(saturation)});
     if (linear_) continue;
-    const std::size_t top = shoulder(curve.exposure, saturation, noise);
-    c.threshold = threshold_of(top);
-    quantisation_.emplace_back(curve.exposure);
-    for (std::size_t v = 0; v < curve.exposure.size(); ++v) {
-      const auto e = static_cast<float>(curve.exposure[v]);
-      table_.push_back(v < top ? e : clipped_marker);
-      shortest_table_.push_back(v < saturation ? e : clipped_marker);
+    quantisation_.emplace_back(exposure);
+    const std::size_t step = std::size_t{1} << node_shift_;
+    for (std::size_t v = 0; v < exposure.size(); v += step) {
+      table_.push_back(static_cast<float>(exposure[v]));
+      if (step == 1) continue;
+      const std::size_t next = std::min(v + step, exposure.size() - 1);
+      table_.push_back(static_cast<float>((exposure[next] - exposure[v]) / static_cast<double>(next - v)));
     }
   }
 }
 
 ValueMeaning SensorTables::meaning(const std::array<std::size_t, 3>& channels, std::size_t period) const {
-  ValueMeaning m{linear_, black_, clipped_value_, static_cast<std::uint32_t>(n_values_ - 1), period, {}};
-  for (std::size_t i = 0; i < period; ++i) m.offsets[i] = static_cast<std::int32_t>(channels[i] * n_values_);
+  ValueMeaning m{linear_, black_, (std::uint32_t{1} << bits_) - 1, period, {}, node_shift_, {}};
+  for (std::size_t i = 0; i < period; ++i) {
+    const Channel& channel = channels_[channels[i]];
+    m.clipped[0][i] = channel.clipped;
+    m.clipped[1][i] = channel.shortest_clipped;
+    m.tables[i] = table_.data() + channels[i] * (table_.size() / channels_.size());
+  }
   return m;
 }
 
@@ -94,7 +124,8 @@ MergeFinish::MergeFinish(const SensorTables& tables, const NoiseModel& noise, co
   for (std::size_t n = 1; n <= times.size(); ++n)
     inverse_prediction_time_.push_back(static_cast<float>(1 / weights_->prediction_time(~std::uint64_t{0} >> (64 - n))));
   for (std::size_t channel = 0; channel < weights_->n_channels(); ++channel)
-    for (std::size_t j = 0; j < times.size(); ++j) certain_.push_back(certain_radiance(channel, j));
+    for (std::size_t j = 0; j < times.size(); ++j)
+      weights_->set_certain(channel, static_cast<std::int32_t>(j) + 1, certain_radiance(channel, j));
 }
 
 /// With the exposures up to j usable: radiance above which a clipped exposure j + 1 tells nothing more.
@@ -117,7 +148,9 @@ void MergeFinish::add_lower_bounds(std::size_t channel, std::uint64_t usable, co
   };
   std::array<Bound, 8> bounds;  // exposures whose clipping is in doubt: few, since times differ
   std::size_t n = 0;
-  for (const std::size_t j : by_time_) {
+  const auto usual = ascending_ && (usable & (usable + 1)) == 0 ? static_cast<std::size_t>(std::popcount(usable)) : 0;  // those before are usable
+  for (std::size_t k = usual; k < by_time_.size(); ++k) {
+    const std::size_t j = by_time_[k];
     if (usable >> j & 1) continue;
     const double t = times_[j], z = e.value * t, threshold = this->threshold(channel, j) - pixel.dark_rate * t - pixel.offset;
     const double sigma2 = weights_->exposure_variance(channel, j, std::max(z, 0.0));
@@ -203,7 +236,7 @@ void MergeFinish::store(const ConstSums& sums, std::size_t first, std::size_t n,
     return;
   }
   static_assert(sizeof(PixelFlag) == 1 && static_cast<int>(PixelFlag::valid) == 0 && static_cast<int>(PixelFlag::dark) == 2);
-  FinishTables tables{weights_->table(), inverse_prediction_time_.data(), certain_.data(), static_cast<float>(dark_rate_), period, {}};
+  FinishTables tables{weights_->table(), inverse_prediction_time_.data(), static_cast<float>(dark_rate_), period, {}};
   for (std::size_t k = 0; k < period; ++k) tables.channels[k] = weights_->n_channels() > 1 ? static_cast<std::int32_t>(channels[k]) : 0;
   std::vector<std::uint16_t> left_out(n);
   const std::size_t n_left = finish_values(sums, n, tables, &image.radiance[first], &image.variance[first],

@@ -25,8 +25,6 @@ class SensorTables {
   bool linear() const { return linear_; }
   /// For the kernels; `channels` of the values i, i + period, ...
   ValueMeaning meaning(const std::array<std::size_t, 3>& channels, std::size_t period) const;
-  /// Curved: exposure of every raw value, clipped_marker for those that are clipped, channel by channel.
-  const float* table(double exposure_s) const { return (is_shortest(exposure_s) ? shortest_table_ : table_).data(); }
   /// Of read-back times, which differ a little from the plan.
   bool is_shortest(double exposure_s) const { return exposure_s <= 1.001 * shortest_s_; }
   /// Exposure at which rounding starts to give a clipped value.
@@ -39,12 +37,12 @@ class SensorTables {
  private:
   struct Channel {
     double threshold, shortest_threshold;
+    std::int32_t clipped, shortest_clipped;  ///< raw values from here on
   };
   bool linear_;
   float black_;
-  int clipped_value_;
-  std::size_t n_values_;
-  std::vector<float> table_, shortest_table_;
+  int bits_, node_shift_;
+  std::vector<float> table_;  ///< channel by channel, as ValueMeaning
   double shortest_s_;
   std::vector<Channel> channels_;
   std::vector<QuantisationNoise> quantisation_;
@@ -82,7 +80,7 @@ class MergeFinish {
   bool ascending_;                    ///< that is their order
   std::vector<double> threshold_;     ///< [channel * n_exposures + j]: exposure from which values are clipped
   std::optional<MergeWeights> weights_;
-  std::vector<float> inverse_prediction_time_, certain_;  ///< as FinishTables
+  std::vector<float> inverse_prediction_time_;  ///< as FinishTables
 };
 
 }  // namespace lacquer::calib

@@ -10,9 +10,6 @@
 /// that every machine gives the same bytes.
 namespace lacquer::calib {
 
-/// A lookup table holds this for raw values that are clipped; exposures are below 1e30.
-inline constexpr float clipped_marker = 2e30f, clipped_limit = 1e30f;
-
 /// Sums and usable exposures of consecutive values.
 struct SumsView {
   std::array<float*, n_sums> sums;
@@ -24,17 +21,21 @@ struct ExposureValues {
   const std::uint16_t* values;
   float basis1, basis2;  ///< b_1 and b_2 of the time; b_0 is 1
   std::uint32_t bit;
-  const float* table;    ///< curved response: exposures of all raw values of channel 0, then those of channel 1, ...; else not used
+  bool shortest;  ///< the shortest exposure of the view
 };
 
-/// How raw values become exposures. Value i of a stretch has the table offset offsets[i % 3 or % 2 or % 1 = i % period].
+/// How raw values become exposures. What is said of value i of a stretch holds for every value i + period, i + 2 period, ... of it.
 struct ValueMeaning {
   bool linear;
-  float black;                        ///< linear: exposure = value - black
-  std::int32_t clipped;               ///< linear: values from here on are clipped
-  std::uint32_t largest;              ///< 2^bits - 1
-  std::size_t period;
-  std::array<std::int32_t, 3> offsets;  ///< into ExposureValues::table, of the channel of value i % period
+  float black;            ///< linear: exposure = value - black
+  std::uint32_t largest;  ///< 2^bits - 1
+  std::size_t period;     ///< 1, 2 or 3
+  /// [shortest exposure][i % period]: values from here on are clipped.
+  std::array<std::array<std::int32_t, 3>, 2> clipped;
+  // Curved: with p = value >> node_shift, rest = value - (p << node_shift), exposure = table[p] if node_shift is 0, else
+  // table[2 p] + rest * table[2 p + 1]: all values of a curve of 16 bits would not fit into the second-level cache.
+  int node_shift;
+  std::array<const float*, 3> tables;  ///< of value i % period
 };
 
 /// Adds n values of each exposure to the sums. Returns false where a raw value is beyond `largest`; the sums are then spoilt.
@@ -51,8 +52,6 @@ struct ConstSums {
 struct FinishTables {
   MergeWeightTable weights;
   const float* inverse_prediction_time;  ///< [count - 1]
-  /// [channel * n_exposures + count - 1]: radiance above which the next exposure is clipped beyond doubt; -inf for the last.
-  const float* certain;
   float dark_rate;
   std::size_t period;
   std::array<std::int32_t, 3> channels;  ///< of value i % period

@@ -136,6 +136,12 @@ MergeWeight MergeWeights::solve(const Moments& m, std::size_t channel, std::uint
   return w;
 }
 
+void MergeWeights::set_certain(std::size_t channel, std::int32_t count, float radiance) {
+  const auto n_bins = static_cast<std::size_t>(bins_.n_bins);
+  const std::size_t row = channel * exposures_.size() + static_cast<std::size_t>(count - 1);
+  for (std::size_t bin = 0; bin < n_bins; ++bin) entries_[row * n_bins + bin].certain = radiance;
+}
+
 MergeWeight MergeWeights::of_set(std::size_t channel, std::uint64_t usable, float x) const {
   const std::int32_t bin = bins_.bin_of(x);
   Moments moments;

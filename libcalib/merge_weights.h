@@ -3,6 +3,7 @@
 #include <array>
 #include <bit>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "libcalib/noise_model.h"
@@ -30,7 +31,8 @@ struct MergeWeight {
   float offset_gain;            ///< sum_k a_k sum_j b_k(t_j), 1/s
   float variance0, variance1;   ///< var(x) = variance0 + variance1 * x for x within the bin
   float variance_dark;          ///< and this times the dark rate of the value beyond the nominal one, DN/s
-  float unused = 0;
+  /// Radiance above which the exposure after the usable ones is clipped beyond doubt; -inf after the last.
+  float certain = -std::numeric_limits<float>::infinity();
 };
 
 /// Weights by channel, number of usable exposures and radiance: entries[((channel * n_exposures) + count - 1) * n_bins + bin_of(x)].
@@ -82,6 +84,8 @@ class MergeWeights {
 
   /// Where the exposures of the first `count` indices are usable (count >= 1).
   MergeWeightTable table() const { return {entries_.data(), bins_.n_exposures, bins_.first_bin, bins_.n_bins}; }
+  /// Where the first `count` exposures are usable.
+  void set_certain(std::size_t channel, std::int32_t count, float radiance);
   /// For any set, computed anew, for a radiance near x; bit j: exposure j.
   MergeWeight of_set(std::size_t channel, std::uint64_t usable, float x) const;
   /// sum b_last t over a set: the prediction is S_last / this.
