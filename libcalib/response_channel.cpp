@@ -13,7 +13,7 @@ namespace {
 constexpr double contradiction_sigmas = 4;
 /// Values are used from this predicted signal to noise ratio on, up to this many sigmas below saturation, and from this many
 /// quantisation steps above black on. Each is where the loss of the values beyond the limit begins to shift the mean.
-constexpr double min_signal_to_noise = 3, saturation_sigmas = 3, min_steps = 3;
+constexpr double min_signal_to_noise = 1.2, saturation_sigmas = 3, min_steps = 3;
 /// So many pixels per channel, spread over the brightness, tell the matrices well enough for a step and for a covariance.
 constexpr std::size_t step_pixels = 1500, covariance_pixels = 5000;
 /// Pixels are summed in parts of at least so many, the same whatever the number of threads.
