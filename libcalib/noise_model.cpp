@@ -143,6 +143,41 @@ std::array<double, 3> solve_uncut(const std::vector<Equation>& all, bool floor_c
   return x;
 }
 
+/// Lowest value from which on values contradict the next shorter exposure of their pixels: the median of the squared difference, in units
+/// of its variance, is more than four times that of the normal distribution.
+int contradicting_value(const BracketSamples& samples, const Response& response, const NoiseModel& noise) {
+  constexpr int n_parts = 64;  // of the range; only the upper half is looked at
+  constexpr double normal_median_square = 0.4549, largest_ratio = 4;
+  const int saturation = saturation_value(noise, response.bits), size = std::max(1, (1 << response.bits) / n_parts);
+  std::vector<std::vector<double>> parts(n_parts);
+  for (std::size_t channel = 0; channel < samples.channels.size(); ++channel) {
+    const SampledPixels& pixels = samples.channels[channel];
+    const std::vector<double>& exposure = response.curves[channel].exposure;
+    const auto variance = [&](std::size_t v) {
+      const double z = std::max(exposure[v], 0.0), slope = slope_at(exposure, v);
+      return (noise.read_noise_e * noise.read_noise_e / noise.gain_e_per_dn + z) / noise.gain_e_per_dn + std::pow(noise.relative_noise * z, 2) +
+             slope * slope / 12;
+    };
+    for (std::size_t i = 0; i < pixels.n_pixels(); ++i)
+      for (std::size_t k = pixels.first[i]; k + 1 < pixels.first[i + 1]; ++k) {
+        const Observation a = pixels.observations[k], b = pixels.observations[k + 1];
+        const int part = (saturation - 1 - b.value) / size;
+        if (part >= n_parts / 2 || b.value >= saturation) continue;
+        const double ratio = samples.times[b.time] / samples.times[a.time], difference = exposure[b.value] - exposure[a.value] * ratio;
+        parts[static_cast<std::size_t>(part)].push_back(difference * difference / (variance(b.value) + ratio * ratio * variance(a.value)));
+      }
+  }
+  int value = saturation;
+  for (std::vector<double>& squares : parts) {
+    if (squares.size() < min_pairs) break;
+    const auto middle = squares.begin() + static_cast<std::ptrdiff_t>(squares.size() / 2);
+    std::nth_element(squares.begin(), middle, squares.end());
+    if (*middle < largest_ratio * normal_median_square) break;
+    value -= size;
+  }
+  return value;
+}
+
 }  // namespace
 
 void NoiseModel::validate() const {
@@ -169,7 +204,9 @@ NoiseModel estimate_noise(std::span<const std::vector<acquire::RawFrame>> bracke
   sampling.lowest_value = known.black_level_dn > 0 ? 0 : 1;
   sampling.saturation_value = saturation_value(known, response.bits);
   const BracketSamples samples = sample_brackets(brackets, sampling);
-  return estimate_noise(samples, response, known);
+  NoiseModel noise = estimate_noise(samples, response, known);
+  if (const int value = contradicting_value(samples, response, noise); value < sampling.saturation_value) noise.saturation_dn = value;
+  return noise;
 }
 
 NoiseModel estimate_noise(const BracketSamples& samples, const Response& response, const NoiseModel& known) {

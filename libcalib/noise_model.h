@@ -31,7 +31,8 @@ int saturation_value(const NoiseModel& noise, int bits);
 /// Noise of a camera that nobody measured, from the bracket itself: read, shot and relative noise that explain by how much pairs of
 /// neighbouring exposures contradict each other at each signal level. The largest quarter of the differences at each level is left out,
 /// so that moved edges, dust and scratches do not count. Black level and saturation are taken over from `known`; dark current is 0 (it
-/// cannot be told from light here).
+/// cannot be told from light here). From frames, saturation_dn is lowered below highest values that contradict the other exposures of
+/// their pixels by more than twice the noise: the uppermost end of an estimated curve of film or of a processed photograph.
 NoiseModel estimate_noise(std::span<const std::vector<acquire::RawFrame>> brackets, const Response& response, const NoiseModel& known);
 NoiseModel estimate_noise(const BracketSamples& samples, const Response& response, const NoiseModel& known);
 
