@@ -177,7 +177,8 @@ class PlanRunner {
  public:
   PlanRunner(Rig& rig, const RigDescription& description, const Session& session, const JournalContent& journal, const CaptureClock& clock,
              const CaptureOptions& options, FrameWriter& writer, const Progress& progress)
-      : rig_(rig), description_(description), session_(session), journal_(journal), clock_(clock), writer_(writer), progress_(progress) {
+      : rig_(rig), description_(description), session_(session), journal_(journal), clock_(clock), options_(options), writer_(writer),
+        progress_(progress) {
     for (const PlannedView& view : description.plan) n_frames_ += view.exposures_s.size();
     if (!description.adaptive_loss) return;
     if (!options.noise) throw Error(ErrorCode::usage, "an adaptive bracket needs the noise of the sensor");
@@ -197,7 +198,9 @@ class PlanRunner {
   }
 
   /// Turntable and light as planned; returns the angle read back.
-  double go_to(const PlannedView& planned) {
+  double go_to(std::size_t v) {
+    const PlannedView& planned = description_.plan[v];
+    if (options_.before_view) options_.before_view(v);
     const double angle = rig_.turntable->move_to(planned.turntable_angle);
     if (planned.kind == ViewKind::dark)
       rig_.lights->off();
@@ -229,7 +232,7 @@ class PlanRunner {
       for (std::size_t e = 0; e < times.size(); ++e)
         if (const FrameRecord* kept = kept_frame(session_, journal_, v, e)) items[e] = {.view = v, .exposure = e, .record = *kept, .frame = {}, .on_disk = true};
     } else {
-      record.turntable_angle = go_to(planned);
+      record.turntable_angle = go_to(v);
       if (bracket_ && planned.kind != ViewKind::dark)
         record.bracket = bracket_->choose(planned, record.turntable_angle, [&](std::size_t e) -> const RawFrame& {
           report();
@@ -239,7 +242,7 @@ class PlanRunner {
     const std::size_t first = record.bracket ? record.bracket->first : 0, last = record.bracket ? record.bracket->last : times.size() - 1;
     const auto missing = [&](std::size_t e) { return !items.contains(e); };
     const auto chosen = std::views::iota(first, last + 1);
-    if (begun && std::ranges::any_of(chosen, missing)) go_to(planned);
+    if (begun && std::ranges::any_of(chosen, missing)) go_to(v);
     for (const std::size_t e : chosen) record.exposures_s.push_back(times[e]);
     writer_.begin_view(std::move(record), begun != nullptr);
     for (std::size_t e = 0; e < times.size(); ++e) {
@@ -257,6 +260,7 @@ class PlanRunner {
   const Session& session_;
   const JournalContent& journal_;
   const CaptureClock& clock_;
+  const CaptureOptions& options_;
   FrameWriter& writer_;
   const Progress& progress_;
   std::optional<AdaptiveBracket> bracket_;

@@ -4,10 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <glm/geometric.hpp>
 
 #include "libacquire/capture_estimate.h"
 #include "libacquire/exposure_probe.h"
+#include "libacquire/guided_plan.h"
 #include "libacquire/session.h"
 #include "libbrdf/error.h"
 
@@ -60,21 +60,6 @@ class Prober {
   double shortest_ = 0, longest_ = 0;
   std::size_t n_taken_ = 0;
 };
-
-/// The measurement view of a light (-1: any) that sees most of the sphere's lit side: smallest angle between light and camera; the first of
-/// equals. nullptr: the light is not in the plan.
-const PlannedView* frontal_view(const RigDescription& rig, int light) {
-  const glm::dvec3 camera = glm::normalize(rig.geometry.cam_from_rig.inverse().translation);
-  const PlannedView* best = nullptr;
-  double best_cosine = -2;
-  for (const PlannedView& view : rig.plan) {
-    if (view.kind != ViewKind::measurement || (light >= 0 && view.light != light)) continue;
-    const PlacedLight placed = rig.geometry.place_light(static_cast<std::size_t>(view.light), view.turntable_angle);
-    const double cosine = glm::dot(camera, placed.distant ? placed.direction : glm::normalize(placed.position));
-    if (cosine > best_cosine + 1e-9) best_cosine = cosine, best = &view;
-  }
-  return best;
-}
 
 /// Values of pixels where the rig file has the sphere's lit side, at most max_probed; all of the image where it has none.
 ProbedValues lit_values(const RigDescription& rig, const PlannedView& view) {

@@ -167,7 +167,7 @@ std::string name_of(ViewKind kind) { return std::array{"measurement", "reference
 
 RigDescription parse_rig(const std::string& text, const fs::path& file, const fs::path& data_folder) {
   const TomlTable root = TomlTable::parse(text, file.string(), {"rig", "camera", "sensor", "sphere", "mask", "turntable", "lights", "plan",
-                                                                "simulation", "scale", "replay", "devices", "reference_patch", "copied_files"});
+                                                                "simulation", "scale", "replay", "devices", "reference_patch", "guided", "copied_files"});
   RigDescription rig;
   rig.file = file;
   rig.text = text;
@@ -183,6 +183,7 @@ RigDescription parse_rig(const std::string& text, const fs::path& file, const fs
   read_reference_patch(root, rig);
   read_simulation(root, files, rig);
   read_devices(root, rig);
+  read_guided(root, rig);
   if (const auto scale = root.table("scale", {"absolute"})) rig.absolute_scale = scale->boolean("absolute", true);
   return rig;
 }

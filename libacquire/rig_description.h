@@ -100,6 +100,7 @@ struct RigDescription {
   MaskDescription mask;
   std::vector<PlannedView> plan;
   std::optional<double> adaptive_loss;  ///< each view takes only the exposures it needs: largest mean loss of sigma, relative; nullopt: all of them
+  bool guided = false;            ///< the plan is that of a guided capture (guided_plan.h), not one of a measurement
   std::optional<PixelRectangle> reference_patch;  ///< a white patch beside the sphere that sees each light alike in every view
   SimulationDescription simulation;
   DevicesDescription devices;     ///< of a rig of kind hardware

@@ -34,6 +34,10 @@ void read_sphere_and_pose(const TomlTable& root, RigDescription& rig);
 void read_lights(const TomlTable& root, const RigFiles& files, RigDescription& rig);
 /// [plan] and, for photographs, [replay].
 void read_plan(const TomlTable& root, const RigFiles& files, RigDescription& rig);
+/// Identifiers of the views: L000, R000, D000.
+void name_views(std::vector<PlannedView>& plan);
+/// [guided], in the place of a plan that was read.
+void read_guided(const TomlTable& root, RigDescription& rig);
 /// [reference_patch].
 void read_reference_patch(const TomlTable& root, RigDescription& rig);
 

@@ -145,14 +145,6 @@ void read_adaptive(const TomlTable& plan, RigDescription& rig) {
   rig.adaptive_loss = loss;
 }
 
-void name_views(std::vector<PlannedView>& plan) {
-  std::array<int, 3> n{};
-  for (PlannedView& view : plan) {
-    const auto kind = static_cast<std::size_t>(view.kind);
-    view.id = fmt::format("{}{:03d}", "LRD"[kind], n[kind]++);
-  }
-}
-
 /// "photo_%03d.png" with 7 -> "photo_007.png".
 std::string numbered_name(const std::string& pattern, std::int64_t number, const TomlTable& replay) {
   const std::size_t percent = pattern.find('%');
@@ -238,6 +230,14 @@ void plan_replay(const std::optional<TomlTable>& plan, const TomlTable& replay, 
 }
 
 }  // namespace
+
+void name_views(std::vector<PlannedView>& plan) {
+  std::array<int, 3> n{};
+  for (PlannedView& view : plan) {
+    const auto kind = static_cast<std::size_t>(view.kind);
+    view.id = fmt::format("{}{:03d}", "LRD"[kind], n[kind]++);
+  }
+}
 
 void read_plan(const TomlTable& root, const RigFiles& files, RigDescription& rig) {
   const auto plan = root.table("plan", {"angles_deg", "exposures_ms", "lights", "reference_every", "dark_frames", "adaptive", "adaptive_loss"});

@@ -102,6 +102,8 @@ struct CaptureOptions {
   bool resume = false;
   /// Called once when the folder is ready, before the first frame: checks of the devices. What it throws ends the capture there.
   std::function<void(Rig&)> before_frames = {};
+  /// Called before a view of which frames have to be taken, before anything moves. What it throws ends the capture there.
+  std::function<void(std::size_t view)> before_view = {};
   /// Rigs with an adaptive bracket need it.
   std::optional<SensorNoise> noise = {};
 };

@@ -13,13 +13,6 @@ namespace {
 
 using acquire::RigCheck;
 
-/// Ctrl-C only: a check has no length that is worth a progress line.
-Progress interruption(const Context& context) {
-  Context silent = context;
-  silent.quiet = true;
-  return stderr_progress(silent);
-}
-
 /// After a fault of a device the turntable may have switched its motor off, and says so itself.
 const char* safe_state(ErrorCode code) {
   return code == ErrorCode::device || code == ErrorCode::timeout ? "lights off, motor stopped" : "lights off, motor held";
@@ -65,6 +58,12 @@ void CaptureGuard::run(const std::function<void()>& work) const {
     if (!begun_) throw;
     throw Error(e.code(), fmt::format("{}\nlacquer: {}; resume with: {}", e.what(), safe_state(e.code()), resume_command(context_.command_line)));
   }
+}
+
+Progress interruption(const Context& context) {
+  Context silent = context;
+  silent.quiet = true;
+  return stderr_progress(silent);
 }
 
 std::string bracket_text(const acquire::Session& session) {

@@ -36,6 +36,9 @@ class CaptureGuard {
 /// What the adaptive brackets of a session saved, and what it cost: one line. Empty: it has none.
 std::string bracket_text(const acquire::Session& session);
 
+/// Ctrl-C only: for work that has no length, or a person in it.
+Progress interruption(const Context& context);
+
 /// `command_line` with --resume.
 std::string resume_command(const std::string& command_line);
 

@@ -46,8 +46,8 @@ Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const br
       merge_seconds += merging.lap();
     };
   }
-  m.session = acquire::capture_session(devices, rig, folder, {options.command_line, options.resume, options.before_frames, calib::bracket_noise(nominal)},
-                                       progress, sink);
+  m.session = acquire::capture_session(devices, rig, folder, {.command_line = options.command_line, .resume = options.resume,
+                                       .before_frames = options.before_frames, .noise = calib::bracket_noise(nominal)}, progress, sink);
   m.n_views = m.session.views.size();
   for (const auto& view : m.session.views) m.n_frames += view.frames.size();
   m.seconds.emplace_back(merge_meanwhile ? "capture and merge" : "capture", watch.lap());

@@ -59,7 +59,7 @@ class AdaptiveBracketTest : public testing::Test {
     acquire::FrameSink sink;
     sink.frame = [&](const acquire::ViewRecord& view, const acquire::RawFrame& frame) { merger.add(view, frame); };
     sink.view = [&](const acquire::ViewRecord& view) { merger.finish_view(view); };
-    return acquire::capture_session(devices, rig, folder / name, {.noise = calib::bracket_noise(calibration)}, {}, sink);
+    return acquire::capture_session(devices, rig, folder / name, {.command_line = {}, .noise = calib::bracket_noise(calibration)}, {}, sink);
   }
   static calib::RadianceImage radiance(const Session& session, std::size_t view) { return calib::read_radiance(session.radiance_path(session.views[view])); }
   /// Values of the lit paint that a table takes, by the rig's geometry.
