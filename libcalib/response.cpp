@@ -19,8 +19,8 @@ namespace {
 
 /// Pixels per channel until the curve is nearly right.
 constexpr std::size_t few_pixels = 4000;
-/// Pixels per channel that noise and times are seen with, and the band.
-constexpr std::size_t noise_pixels = 10000, covariance_pixels = 5000;
+/// Pixels per channel that the band is seen with.
+constexpr std::size_t covariance_pixels = 5000;
 
 /// Noise for weighting. Its relative part is bounded: a curve that is still wrong looks like noise, and weights that believe that
 /// would leave no value to correct it with.

@@ -178,17 +178,20 @@ void measure_deviation(const ResponseSolver& solver, std::size_t channel, const 
 class LineAt {
  public:
   LineAt(const BracketSamples& samples, const NoiseModel& known, double black)
-      : samples_(samples), noise_(known), solver_(samples.bits, black, saturation_value(known, samples.bits), samples) {
+      : noise_(known), solver_(samples.bits, black, saturation_value(known, samples.bits), samples) {
     round_.time_sigma = loose_time_sigma;
     noise_.black_level_dn = black;
     const Response line = linear_response(samples.bits, static_cast<int>(samples.channels.size()), black);
+    round_.pixel_step = samples.step_to(noise_pixels);
+    const BracketSamples noise_samples = samples.thinned(round_.pixel_step);
     for (int i = 0; i < 3; ++i) {
       solver_.refine_times(round_);
-      noise_ = estimate_noise(samples_.with_times(solver_.log_time_corrections()), line, noise_);
+      noise_ = estimate_noise(noise_samples.with_times(solver_.log_time_corrections()), line, noise_);
       noise_.relative_noise = std::min(noise_.relative_noise, 0.05);
       round_.noise = &noise_;
       round_.time_sigma = solver_.spread_of_times();
     }
+    round_.pixel_step = 1;
     solver_.refine_times(round_);
     auto equations = solver_.equations(round_, true);
     for (std::size_t c = 0; c < solver_.channels().size(); ++c) ranges_.push_back(data_range(solver_, equations.a, c));
@@ -237,7 +240,6 @@ class LineAt {
   }
 
  private:
-  const BracketSamples& samples_;
   NoiseModel noise_;
   ResponseSolver solver_;
   ResponseSolver::Round round_;

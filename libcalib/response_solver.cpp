@@ -344,12 +344,15 @@ TimeFit fit_times(ResponseSolver& solver, const BracketSamples& samples, const R
   NoiseModel noise;
   ResponseSolver::Round round;
   round.time_sigma = loose_time_sigma;
+  const std::size_t few = samples.step_to(noise_pixels);
+  const BracketSamples noise_samples = samples.thinned(few);
   while (fit.iterations < max_iterations && !fit.converged) {
     const int i = fit.iterations++;
+    round.pixel_step = i < noise_rounds ? few : 1;
     const double change = solver.refine_times(round);
     fit.converged = i > noise_rounds && change < tolerance;
     if (i >= noise_rounds) continue;
-    noise = estimate_noise(samples.with_times(solver.log_time_corrections()), response, known);
+    noise = estimate_noise(noise_samples.with_times(solver.log_time_corrections()), response, known);
     round.noise = &noise;
     round.time_sigma = solver.spread_of_times();
   }

@@ -80,6 +80,8 @@ class ResponseSolver {
   double residual_rms_ = 0;
 };
 
+/// Pixels per channel that noise is seen with.
+constexpr std::size_t noise_pixels = 10000;
 /// Spread of the times' errors that is assumed before the pixels have shown it.
 constexpr double loose_time_sigma = 0.05;
 
