@@ -8,6 +8,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <cstdlib>
 #include <cstring>
 
 namespace lacquer::test {
@@ -27,6 +28,7 @@ bool bring_loopback_up() {
 }
 
 bool enter() {
+  if (std::getenv("LACQUER_VM")) return bring_loopback_up();  // nobody else is there
   if ((unshare(CLONE_NEWNET) == 0 || unshare(CLONE_NEWUSER | CLONE_NEWNET) == 0) && bring_loopback_up()) return true;
   const int lock = open("/tmp/lacquer-gige-vision-test.lock", O_CREAT | O_RDWR | O_CLOEXEC, 0666);
   if (lock >= 0) flock(lock, LOCK_EX);  // until the process ends

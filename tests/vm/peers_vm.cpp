@@ -4,32 +4,17 @@
 #include <cmath>
 #include <cstdlib>
 #include <numbers>
-#include <thread>
 
 #include "libacquire/gpio/gpio_lights.h"
 #include "libacquire/tic/tic_turntable.h"
 #include "libacquire/tic/usb_tic.h"
 #include "libacquire/v4l2/v4l2_camera.h"
-#include "libbrdf/error.h"
 #include "vm/gpio_sim.h"
 #include "vm/usb_devices.h"
 
 namespace lacquer::test {
 
 namespace {
-
-/// Calls `attempt` until the kernel has made the device usable.
-template <typename Attempt>
-auto when_there(const Attempt& attempt) {
-  for (int i = 0;; ++i) {
-    try {
-      return attempt();
-    } catch (const Error&) {
-      if (i == 100) throw;
-      std::this_thread::sleep_for(std::chrono::milliseconds(100));
-    }
-  }
-}
 
 class UsbTicPeer final : public TurntablePeer {
  public:
