@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <tbb/info.h>
+#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -9,8 +10,10 @@
 #include <cmath>
 
 #include "libbrdf/error.h"
+#include "libfit/log_errors.h"
 #include "libfit/objective.h"
 #include "libfit/observations.h"
+#include "libfit/selection.h"
 #include "libfit/solver.h"
 #include "libfit/starts.h"
 #include "libfit/uncertainty.h"
@@ -22,6 +25,8 @@ namespace {
 /// Cells of the subset on which starts are found and compared: enough for every parameter, few enough for
 /// seconds.
 constexpr std::size_t subset_cells = 5000;
+/// Up to this many lobes are tried where their number is not given.
+constexpr int most_lobes_chosen = 3;
 /// Relative sigma of the subset's fits at least: far from the minimum a smaller one makes every cell an
 /// outlier.
 constexpr double subset_sigma = 0.01;
@@ -41,83 +46,50 @@ void check_table(const brdf::HalfAngleTable& table) {
                                                   brdf::TableGrid::n_cells, size));
 }
 
-void check_enough(const Observations& observations, const ParameterLayout& layout) {
+void check_enough(const Observations& observations, const LeftOut& out, const ParameterLayout& layout) {
   const std::size_t needed = 2 * static_cast<std::size_t>(layout.size());
-  if (observations.values.size() >= needed) return;
-  const LeftOut& out = observations.left_out;
+  if (observations.n_values >= needed) return;
   throw Error(
       ErrorCode::input,
       fmt::format(
           "table: {} usable values are too few for {} parameters, expected at least {} (left out: {} "
           "grazing, "
           "{} not positive, {} not finite, {} not measured); measure more directions or fit fewer lobes",
-          observations.values.size(), layout.size(), needed, out.grazing, out.not_positive, out.not_finite,
+          observations.n_values, layout.size(), needed, out.grazing, out.not_positive, out.not_finite,
           out.not_measured));
 }
 
-/// |ln(a / b)| of two models over the observations, from log values, which are finite where the models
-/// underflow.
-struct LogDifference {
-  double sum = 0, squares = 0;
-  std::size_t n = 0;
-  void add(double difference) {
-    if (!std::isfinite(difference)) return;  // both or one exactly 0: a channel without data
-    sum += std::abs(difference);
-    squares += difference * difference;
-    ++n;
-  }
-  double mean() const { return n ? sum / static_cast<double>(n) : 0; }
-  double rms() const { return n ? std::sqrt(squares / static_cast<double>(n)) : 0; }
-};
-
-bool same_model(const brdf::CookTorrance& a, const brdf::CookTorrance& b, const Observations& observations) {
-  LogDifference difference;
-  for (const Point& p : observations.points) {
-    const glm::dvec3 log_a = a.log_value(p.cosines), log_b = b.log_value(p.cosines);
-    for (int c = 0; c < observations.n_channels; ++c) difference.add(log_a[c] - log_b[c]);
-  }
-  return difference.mean() < same_minimum;
-}
-
-/// Refines every start on the subset; distinct minima, best first.
-std::vector<Candidate> find_candidates(const Observations& subset, const ParameterLayout& layout,
-                                       const ObjectiveOptions& objective_options, const FitOptions& options,
-                                       const Progress& progress) {
-  const Objective objective(subset, layout, objective_options);
-  const auto starts =
-      scan_for_starts(subset, options.n_lobes, static_cast<std::size_t>(options.n_starts), options.min_m);
-  const double n_values = static_cast<double>(subset.values.size());
-  std::vector<Candidate> candidates;
-  for (std::size_t i = 0; i < starts.size(); ++i) {
+/// Distinct minima of the subset for each structure, best first. Starts are refined side by side.
+std::vector<std::vector<Minimum>> find_minima(const Observations& subset, const std::vector<Structure>& structures,
+                                              const ObjectiveOptions& objective_options, const FitOptions& options) {
+  struct Task {
+    std::size_t structure;
+    brdf::CookTorrance start;
+    Minimum minimum{};
+  };
+  const Scan scan(subset, options.min_m);
+  std::vector<Task> tasks;
+  for (std::size_t s = 0; s < structures.size(); ++s)
+    for (auto& start : scan.starts(structures[s], static_cast<std::size_t>(options.n_starts), objective_options))
+      tasks.push_back({s, std::move(start)});
+  tbb::parallel_for(std::size_t{0}, tasks.size(), [&](std::size_t i) {
+    const ParameterLayout layout(subset.n_channels, structures[tasks[i].structure]);
+    const Objective objective(subset, layout, objective_options);
     const Solution solution = minimise(
-        objective, layout.pack(starts[i]),
+        objective, layout.pack(tasks[i].start),
         {.min_m = options.min_m, .max_iterations = options.max_iterations, .function_tolerance = 1e-8});
-    candidates.push_back({sorted_by_falling_m(layout.unpack(solution.x)), solution.cost / n_values});
-    if (progress) progress("fit", i + 1, static_cast<std::size_t>(options.n_starts) + 1);
-  }
-  std::stable_sort(candidates.begin(), candidates.end(),
-                   [](const auto& a, const auto& b) { return a.cost < b.cost; });
-  std::vector<Candidate> distinct;
-  for (const Candidate& candidate : candidates) {
-    const auto same = [&](const Candidate& other) {
-      return same_model(candidate.model, other.model, subset);
+    tasks[i].minimum = {sorted_by_falling_m(layout.unpack(solution.x)), solution.cost / static_cast<double>(subset.n_values)};
+  });
+  std::stable_sort(tasks.begin(), tasks.end(), [](const Task& a, const Task& b) { return a.minimum.cost < b.minimum.cost; });
+  std::vector<std::vector<Minimum>> distinct(structures.size());
+  for (const Task& task : tasks) {
+    std::vector<Minimum>& minima = distinct[task.structure];
+    const auto same = [&](const Minimum& other) {
+      return mean_abs_log_ratio(subset, task.minimum.model, other.model) < same_minimum;
     };
-    if (std::none_of(distinct.begin(), distinct.end(), same)) distinct.push_back(candidate);
+    if (std::none_of(minima.begin(), minima.end(), same)) minima.push_back(task.minimum);
   }
   return distinct;
-}
-
-void add_errors(const Observations& observations, FitResult& result) {
-  LogDifference difference;
-  for (const Point& p : observations.points) {
-    const glm::dvec3 log_f = result.model.log_value(p.cosines);
-    for (std::uint32_t k = p.first; k < p.end; ++k) {
-      const Observation& o = observations.values[k];
-      if (o.mean > 0) difference.add(log_f[o.channel] - std::log(double{o.mean}));
-    }
-  }
-  result.mean_abs_log = difference.mean();
-  result.rms_log = difference.rms();
 }
 
 /// kd and ks are proportional to the table's scale, m and r do not depend on it: its error is one more, common term of their covariance.
@@ -133,43 +105,109 @@ void add_scale_error(double scale_sigma, FitResult& result) {
     if (scales(i)) result.parameters[i].sigma = std::sqrt(result.covariance[i * n + i]);
 }
 
+SolverOptions refinement(const FitOptions& options, double insignificant) {
+  return {.min_m = options.min_m,
+          .max_iterations = options.max_iterations,
+          .function_tolerance = 0,
+          .insignificant = insignificant,
+          .damping = 0};
+}
+
+/// Minimum of all cells, with weights that follow the model.
+struct Refined {
+  Solution solution;
+  brdf::CookTorrance model;
+};
+
+/// `start`: minimum of the subset. Sets the weights of `all`.
+Refined refine(Observations& all, const ParameterLayout& layout, const brdf::CookTorrance& start, const ObjectiveOptions& objective_options,
+               const FitOptions& options) {
+  Refined refined{.solution = {}, .model = start};
+  for (const double insignificant : {1.0, 1e-6}) {  // the first weights are not worth more than a sigma
+    weigh(all, options.model_sigma, &refined.model);
+    const Objective objective(all, layout, objective_options);
+    refined.solution = minimise(objective, layout.pack(refined.model), refinement(options, insignificant));
+    refined.model = sorted_by_falling_m(layout.unpack(refined.solution.x));
+    refined.solution.x = layout.pack(refined.model);
+  }
+  return refined;
+}
+
+std::vector<Candidate> candidates_of(const std::vector<Trial>& trials, const Observations& all) {
+  std::vector<Candidate> candidates;
+  for (const Trial& trial : trials)
+    candidates.push_back({.model = trial.model,
+                          .structure = to_text(trial.structure),
+                          .n_parameters = ParameterLayout(all.n_channels, trial.structure).size(),
+                          .cost = trial.solution.cost / static_cast<double>(all.n_values),
+                          .mean_abs_log = log_errors(all, trial.model).mean,
+                          .criterion = trial.criterion - trials.front().criterion});
+  return candidates;
+}
+
 FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& options,
                       const Progress& progress) {
-  const ParameterLayout layout{static_cast<int>(table.channels.size()), options.n_lobes};
+  constexpr std::size_t n_steps = 4;
+  const auto step_done = [&](std::size_t step) {
+    if (progress) progress("fit", step, n_steps);
+  };
+  const int n_channels = static_cast<int>(table.channels.size());
   const ObjectiveOptions objective_options{
       .robust_scale = options.robust_scale,
       .energy_weight = table.absolute_scale ? options.energy_weight : 0.0};
+  std::vector<Structure> structures;
+  for (int n = options.n_lobes.value_or(0); n <= options.n_lobes.value_or(most_lobes_chosen); ++n) structures.push_back({.n_lobes = n});
+
   FitResult result;
   result.options = options;
-  const std::vector<std::uint32_t> cells = usable_cells(table, options, result.left_out);
-  Observations all = observe(table, stratified_choice(cells, options.max_cells), options);
-  all.left_out = result.left_out;
-  check_enough(all, layout);
-
-  Observations subset =
-      observe(table, stratified_choice(cells, std::min(options.max_cells, subset_cells)), options);
+  const UsableCells usable = usable_cells(table, options);
+  result.left_out = usable.left_out;
+  Observations all = observe(table, stratified_choice(usable, options.max_cells));
+  while (!options.n_lobes && structures.size() > 1 &&
+         all.n_values < 2 * static_cast<std::size_t>(ParameterLayout(n_channels, structures.back()).size()))
+    structures.pop_back();
+  check_enough(all, usable.left_out, ParameterLayout(n_channels, structures.back()));
+  Observations subset = observe(table, stratified_choice(usable, std::min(options.max_cells, subset_cells)));
   weigh(subset, std::max(options.model_sigma, subset_sigma));
-  result.candidates = find_candidates(subset, layout, objective_options, options, progress);
+  step_done(1);
+  const auto minima = find_minima(subset, structures, objective_options, options);
+  step_done(2);
 
-  const std::size_t n_steps = static_cast<std::size_t>(options.n_starts) + 1;
-  const brdf::CookTorrance& best = result.candidates.front().model;
-  weigh(all, options.model_sigma, &best);
-  const Objective objective(all, layout, objective_options);
-  const Solution solution = minimise(objective, layout.pack(best),
-                                     {.min_m = options.min_m, .max_iterations = options.max_iterations});
-  if (progress) progress("fit", n_steps, n_steps);
+  const ParameterLayout richest(n_channels, structures.back());
+  const Refined refined = refine(all, richest, minima.back().front().model, objective_options, options);
+  step_done(3);
+  std::vector<Trial> trials;
+  for (std::size_t s = 0; s < structures.size(); ++s) trials.push_back({structures[s], minima[s].front().model, {}});
+  GroupedQuadratics quadratics;
+  if (options.n_lobes) {
+    trials = {{structures.back(), refined.model, refined.solution}};
+  } else {
+    Selection selection(subset, all, objective_options, refinement(options, 1e-6));
+    trials = selection.choose(trials, refined.solution);
+    result.overdispersion = selection.overdispersion();
+    if (trials.front().structure == structures.back()) quadratics = selection.quadratics();
+  }
 
-  result.model = sorted_by_falling_m(layout.unpack(solution.x));
-  result.converged = solution.converged;
-  result.message = solution.message;
+  const Trial& chosen = trials.front();
+  const ParameterLayout layout(n_channels, chosen.structure);
+  result.model = chosen.model;
+  result.minima = minima[static_cast<std::size_t>(chosen.structure.n_lobes - structures.front().n_lobes)];
+  result.candidates = candidates_of(trials, all);
+  result.converged = chosen.solution.converged;
+  result.message = chosen.solution.message;
   result.n_cells = all.n_cells;
-  result.n_cells_available = cells.size();
-  result.n_residuals = all.values.size();
+  result.n_cells_available = usable.cells.size();
+  result.n_residuals = all.n_values;
   const glm::dvec3 albedo = normal_incidence_albedo(result.model);
   result.energy = std::max({albedo.x, albedo.y, albedo.z});
-  add_uncertainty(objective, layout.pack(result.model), options.min_m, result);
+  const std::vector<double> x = layout.pack(result.model);
+  if (quadratics.all.gradient.empty()) quadratics = grouped_quadratics(Objective(all, layout, objective_options), x);
+  add_uncertainty(layout, x, quadratics, all.n_values, options.min_m, result);
   add_scale_error(table.scale_sigma, result);
-  add_errors(all, result);
+  const LogErrors errors = log_errors(all, result.model);
+  result.mean_abs_log = errors.mean;
+  result.rms_log = errors.rms;
+  step_done(4);
   return result;
 }
 
@@ -179,7 +217,7 @@ void FitOptions::validate() const {
   const auto require = [](bool good, const std::string& text) {
     if (!good) throw Error(ErrorCode::usage, "fit options: " + text);
   };
-  require(n_lobes >= 0 && n_lobes <= 5, fmt::format("n_lobes: expected 0 to 5, got {}", n_lobes));
+  if (n_lobes) require(*n_lobes >= 0 && *n_lobes <= max_lobes, fmt::format("n_lobes: expected 0 to {}, got {}", max_lobes, *n_lobes));
   require(n_starts >= 1 && n_starts <= 1000, fmt::format("n_starts: expected 1 to 1000, got {}", n_starts));
   require(max_cells >= 1, "max_cells: expected at least 1, got 0");
   require(model_sigma > 0 && std::isfinite(model_sigma),

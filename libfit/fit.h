@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,10 +13,10 @@
 namespace lacquer::fit {
 
 struct FitOptions {
-  int n_lobes = 3;   ///< 0..5
-  int n_starts = 6;  ///< distinct starts refined on a subset before the best is refined on all cells
-  std::size_t max_cells =
-      100000;  ///< cells used, a stratified choice over theta_h, theta_d, phi_d when the table has more
+  std::optional<int> n_lobes = std::nullopt;  ///< 0..5, all coloured, over a diffuse part; none: the structure is chosen, 0 to 3 lobes
+  int n_starts = 6;            ///< starts refined on a subset for each number of lobes
+  /// Cells used: all, or a stratified choice over theta_h, theta_d, phi_d when the table has more.
+  std::size_t max_cells = brdf::TableGrid::n_cells;
   double model_sigma =
       0.01;  ///< relative error of the model and of the cell average, added to the table's variance; > 0
   double min_cosine = 0.08715574274765817;  ///< cos 85 deg: cells closer to grazing are left out
@@ -40,9 +41,23 @@ struct Parameter {
   bool determined = true;
 };
 
-struct Candidate {
+/// A minimum that starts led to.
+struct Minimum {
   brdf::CookTorrance model;
   double cost = 0;  ///< robust objective per residual, on the subset
+};
+
+/// A structure that was tried. The one of the smallest criterion wins: cost / c + p ln(n / c) with p parameters, n residuals and c the
+/// factor by which residuals that agree within a row or a column of the table inflate the objective (Schwarz 1978 with the effective
+/// number of independent values).
+struct Candidate {
+  brdf::CookTorrance model;
+  std::string structure;     ///< for people, e.g. "2 lobes, lobe 2 grey"
+  int n_parameters = 0;
+  double cost = 0;           ///< robust objective per residual, all cells
+  double mean_abs_log = 0;   ///< as FitResult::mean_abs_log
+  double criterion = 0;      ///< above that of the winner
+  double evaluation_ns = 0;  ///< of one RGB value in an array, see add_evaluation_costs; 0: not measured
 };
 
 /// Why cells of a table did not enter the fit; one count per cell and channel.
@@ -57,10 +72,12 @@ struct LeftOut {
 
 struct FitResult {
   brdf::CookTorrance model;  ///< lobes ordered by falling m; one-channel tables: three equal channels
-  std::vector<Parameter> parameters;  ///< kd.r kd.g kd.b ks1.r ... m1 r1 ...
+  std::vector<Parameter> parameters;  ///< kd.r kd.g kd.b ks1.r ... m1 r1 ...; those of the structure alone
   std::vector<double>
       covariance;  ///< row-major n x n in the order of `parameters`; 0 in rows without a sigma
-  std::vector<Candidate> candidates;  ///< distinct minima of the starts, best first
+  std::vector<Minimum> minima;        ///< distinct minima with the chosen number of lobes, best first
+  std::vector<Candidate> candidates;  ///< structures that were tried, the chosen one first, then by rising criterion
+  double overdispersion = 1;          ///< c of Candidate
   std::size_t n_cells = 0;            ///< used
   std::size_t n_cells_available = 0;  ///< usable cells of the table
   std::size_t n_residuals = 0;        ///< used cells times their channels
@@ -86,6 +103,9 @@ struct FitResult {
 /// threads. Throws Error{input} when the table has too few usable cells.
 FitResult fit_table(const brdf::HalfAngleTable& table, const FitOptions& options = {},
                     const Progress& progress = {});
+
+/// Measures how long the candidates take to evaluate in an array on this machine (milliseconds of work).
+void add_evaluation_costs(FitResult& fit);
 
 /// Text of fit.json; the paint entry ("kd", "lobes") is at top level as in papers/table1.json. The same
 /// result gives the same bytes: times and threads are not in it.

@@ -30,22 +30,40 @@ Json parameters(const FitResult& fit) {
   return list;
 }
 
-/// Rows in the order of "parameters".
-Json covariance(const FitResult& fit) {
+/// Rows in the order of "parameters"; `scaled`: by the standard errors, i.e. correlations.
+Json covariance(const FitResult& fit, bool scaled) {
   Json rows = Json::array();
   const std::size_t n = fit.parameters.size();
   for (std::size_t i = 0; i < n; ++i) {
     Json row = Json::array();
-    for (std::size_t j = 0; j < n; ++j) row.push_back(fit.covariance[i * n + j]);
+    for (std::size_t j = 0; j < n; ++j) {
+      const double sigmas = fit.parameters[i].sigma * fit.parameters[j].sigma;
+      row.push_back(!scaled ? fit.covariance[i * n + j] : sigmas > 0 ? fit.covariance[i * n + j] / sigmas : 0.0);
+    }
     rows.push_back(std::move(row));
   }
   return rows;
 }
 
+Json minima(const FitResult& fit) {
+  Json list = Json::array();
+  for (const Minimum& minimum : fit.minima) {
+    Json j{{"cost", minimum.cost}};
+    add_model(minimum.model, j);
+    list.push_back(std::move(j));
+  }
+  return list;
+}
+
 Json candidates(const FitResult& fit) {
   Json list = Json::array();
   for (const Candidate& candidate : fit.candidates) {
-    Json j{{"cost", candidate.cost}};
+    Json j{{"structure", candidate.structure},
+           {"n_parameters", candidate.n_parameters},
+           {"criterion", candidate.criterion},
+           {"cost", candidate.cost},
+           {"mean_abs_log", candidate.mean_abs_log}};
+    if (candidate.evaluation_ns > 0) j["evaluation_ns"] = candidate.evaluation_ns;
     add_model(candidate.model, j);
     list.push_back(std::move(j));
   }
@@ -56,6 +74,7 @@ Json errors(const FitResult& fit) {
   return {{"mean_abs_log", fit.mean_abs_log},
           {"rms_log", fit.rms_log},
           {"reduced_chi2", fit.reduced_chi2},
+          {"overdispersion", fit.overdispersion},
           {"energy", fit.energy},
           {"n_cells", fit.n_cells},
           {"n_cells_available", fit.n_cells_available},
@@ -70,7 +89,7 @@ Json errors(const FitResult& fit) {
 }
 
 Json options(const FitOptions& o) {
-  return {{"n_lobes", o.n_lobes},
+  return {{"n_lobes", o.n_lobes ? Json(*o.n_lobes) : Json(nullptr)},
           {"n_starts", o.n_starts},
           {"max_cells", o.max_cells},
           {"model_sigma", o.model_sigma},
@@ -92,9 +111,11 @@ std::string fit_to_json(const FitResult& fit, bool absolute_scale, const std::st
          {"scale_sigma", fit.scale_sigma}};
   add_model(fit.model, j);
   j["parameters"] = parameters(fit);
-  j["covariance"] = covariance(fit);
+  j["covariance"] = covariance(fit, false);
+  j["correlation"] = covariance(fit, true);
   j["errors"] = errors(fit);
   j["candidates"] = candidates(fit);
+  j["minima"] = minima(fit);
   j["options"] = options(fit.options);
   try {
     j["provenance"] = Json::parse(provenance_json.empty() ? "{}" : provenance_json);

@@ -3,127 +3,53 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <numbers>
-
-#include "libfit/second_order.h"
 
 namespace lacquer::fit {
 
 namespace {
 
-constexpr std::size_t points_per_chunk = 512;
-constexpr double log_floor = 1e-3;  // of the measured value, see Objective
+constexpr std::size_t cells_per_chunk = 2048;
 
-/// One channel's parameters as seen by one observation: kd, ks of each lobe, then ln(m) and r of each lobe.
-constexpr int max_lobes = 5;
-constexpr int max_local = 1 + 3 * max_lobes;
-
-struct Residual {
-  double value;      // in sigmas
-  double slope;      // by the model's value
-  double curvature;  // second derivative
+/// Stretch of a set.
+struct Chunk {
+  const CellSet* set;
+  std::size_t begin, end;
 };
 
-Residual residual(const Observation& o, double f) {
-  if (!o.logarithmic) return {(f - o.mean) * o.inverse_sigma, o.inverse_sigma, 0};
-  const double floor = log_floor * o.mean;
-  const double slope = o.inverse_sigma / (f + floor);
-  return {(std::log((f + floor) / (o.mean + floor)) - o.log_bias) * o.inverse_sigma, slope,
-          -slope / (f + floor)};
+std::vector<Chunk> chunks_of(const Observations& observations) {
+  std::vector<Chunk> chunks;
+  for (const CellSet& set : observations.sets)
+    for (std::size_t begin = 0; begin < set.size(); begin += cells_per_chunk)
+      chunks.push_back({&set, begin, std::min(set.size(), begin + cells_per_chunk)});
+  return chunks;
 }
 
-/// Huber: rho(r) = r^2 up to `scale`, 2 scale |r| - scale^2 beyond; `weight` = rho' / 2r, `curvature` = rho''
-/// / 2.
-struct Huber {
-  double rho, weight = 1, curvature = 1;
-  Huber(double r, double scale) : rho(r * r) {
-    const double size = std::abs(r);
-    if (!(size > scale)) return;
-    weight = scale / size;
-    curvature = 0;
-    rho = scale * (2 * size - scale);
-  }
-};
-
-/// Sums of one chunk, per channel; upper triangles.
-struct ChannelSums {
-  double cost = 0;
-  std::array<double, max_local> gradient{};
-  std::array<std::array<double, max_local>, max_local> curvature{};
-
-  /// Adds slope * row to the gradient and factor * row row^T to the curvature.
-  void add(const std::array<double, max_local>& row, int n, double slope, double factor) {
-    for (int i = 0; i < n; ++i) {
-      const double scaled = factor * row[i];
-      gradient[i] += slope * row[i];
-      for (int j = i; j < n; ++j) curvature[i][j] += scaled * row[j];
-    }
-  }
-  void add(const ChannelSums& other, int n) {
-    cost += other.cost;
-    for (int i = 0; i < n; ++i) {
-      gradient[i] += other.gradient[i];
-      for (int j = i; j < n; ++j) curvature[i][j] += other.curvature[i][j];
-    }
-  }
-};
-using Sums = std::array<ChannelSums, 3>;
-
-/// Position of local parameter `i` of a channel in the solver's vector.
+/// Position of local parameter `i` of a channel in the solver's vector; -1: not a parameter of the structure.
 int global_index(const ParameterLayout& layout, int channel, int i) {
   if (i == 0) return layout.kd(channel);
-  if (i <= layout.n_lobes) return layout.ks(i - 1, channel);
-  const int shape = i - 1 - layout.n_lobes;
+  if (i <= layout.n_lobes()) return layout.ks(i - 1, channel);
+  const int shape = i - 1 - layout.n_lobes();
   return shape % 2 == 0 ? layout.log_m(shape / 2) : layout.r(shape / 2);
 }
 
-/// A lobe for ks = 1, differentiated by ln(m) and r.
-SecondOrder lobe_with_derivatives(double m, double r, const brdf::HalfAngleCosines<double>& c) {
-  const SecondOrder by_log_m{.value = m, .d1 = m, .d11 = m}, by_r{.value = r, .d2 = 1};
-  return brdf::CookTorranceLobe<SecondOrder>{by_log_m, by_r}(c);
-}
-
-/// Adds the observations of one point.
-void add_point(const Observations& observations, const Point& point, const ParameterLayout& layout,
-               const brdf::CookTorrance& model, double robust_scale, Curvature kind, Sums& sums) {
-  const int n_lobes = layout.n_lobes, n = 1 + 3 * n_lobes;
-  std::array<SecondOrder, max_lobes> lobes;
-  for (int l = 0; l < n_lobes; ++l)
-    lobes[l] = lobe_with_derivatives(model.lobes[l].m, model.lobes[l].r, point.cosines);
-
-  std::array<double, max_local> row;  // gradient of the model's value
-  row[0] = std::numbers::inv_pi;
-  for (std::uint32_t k = point.first; k < point.end; ++k) {
-    const Observation& o = observations.values[k];
-    double f = model.kd[o.channel] * std::numbers::inv_pi;
-    for (int l = 0; l < n_lobes; ++l) {
-      const double ks = model.lobes[l].ks[o.channel];
-      f += ks * lobes[l].value;
-      row[1 + l] = lobes[l].value;
-      row[1 + n_lobes + 2 * l] = ks * lobes[l].d1;
-      row[2 + n_lobes + 2 * l] = ks * lobes[l].d2;
-    }
-    const Residual r = residual(o, f);
-    const Huber huber(r.value, robust_scale);
-    const double pull = huber.weight * r.value;  // derivative of rho / 2 by the residual
-    ChannelSums& channel = sums[o.channel];
-    channel.cost += huber.rho;
-    if (kind == Curvature::gauss_newton) {
-      channel.add(row, n, pull * r.slope, huber.weight * r.slope * r.slope);
-      continue;
-    }
-    channel.add(row, n, pull * r.slope, huber.curvature * r.slope * r.slope + pull * r.curvature);
-    // Second derivatives of the model's value; it is bilinear in ks and a lobe.
-    for (int l = 0; l < n_lobes; ++l) {
-      const double ks = model.lobes[l].ks[o.channel], slope = pull * r.slope;
-      const int m = 1 + n_lobes + 2 * l;
-      channel.curvature[1 + l][m] += slope * lobes[l].d1;
-      channel.curvature[1 + l][m + 1] += slope * lobes[l].d2;
-      channel.curvature[m][m] += slope * ks * lobes[l].d11;
-      channel.curvature[m][m + 1] += slope * ks * lobes[l].d12;
-      channel.curvature[m + 1][m + 1] += slope * ks * lobes[l].d22;
+/// Adds the channels' sums to the quadratic of the solver's parameters.
+void add_sums(const ParameterLayout& layout, const Sums& sums, Quadratic& q) {
+  const int n = layout.size(), n_local = 1 + 3 * layout.n_lobes();
+  q.gradient.resize(static_cast<std::size_t>(n));
+  q.curvature.resize(static_cast<std::size_t>(n) * static_cast<std::size_t>(n));
+  for (int c = 0; c < layout.n_channels(); ++c) {
+    const ChannelSums& channel = sums[static_cast<std::size_t>(c)];
+    q.cost += channel.cost;
+    for (int i = 0; i < n_local; ++i) {
+      const int gi = global_index(layout, c, i);
+      if (gi < 0) continue;
+      q.gradient[gi] += channel.gradient[i];
+      for (int j = i; j < n_local; ++j) {
+        const int gj = global_index(layout, c, j);
+        q.curvature[gi * n + gj] += channel.curvature[i][j];
+        if (gi != gj) q.curvature[gj * n + gi] += channel.curvature[i][j];
+      }
     }
   }
 }
@@ -149,13 +75,13 @@ void add_energy(const ParameterLayout& layout, const brdf::CookTorrance& model, 
   const glm::dvec3 albedo = normal_incidence_albedo(model);
   const double slope = weight * std::sqrt(static_cast<double>(n_values));
   const int n = layout.size();
-  for (int c = 0; c < layout.n_channels; ++c) {
+  for (int c = 0; c < layout.n_channels(); ++c) {
     const double r = energy_residual(albedo[c], weight, n_values);
     if (r == 0) continue;
     std::vector<double> row(static_cast<std::size_t>(n));
-    row[layout.kd(c)] = slope;
-    for (int l = 0; l < layout.n_lobes; ++l) {
-      const auto& lobe = model.lobes[l];
+    if (layout.kd(c) >= 0) row[layout.kd(c)] = slope;
+    for (int l = 0; l < layout.n_lobes(); ++l) {
+      const auto& lobe = model.lobes[static_cast<std::size_t>(l)];
       const Escape escape(lobe.m);
       row[layout.ks(l, c)] = slope * 4 * lobe.r * escape.value;
       row[layout.log_m(l)] = slope * 4 * lobe.ks[c] * lobe.r * escape.d_log_m;
@@ -169,6 +95,14 @@ void add_energy(const ParameterLayout& layout, const brdf::CookTorrance& model, 
   }
 }
 
+void add(const ChannelSums& from, int n, ChannelSums& to) {
+  to.cost += from.cost;
+  for (int i = 0; i < n; ++i) {
+    to.gradient[i] += from.gradient[i];
+    for (int j = i; j < n; ++j) to.curvature[i][j] += from.curvature[i][j];
+  }
+}
+
 }  // namespace
 
 glm::dvec3 normal_incidence_albedo(const brdf::CookTorrance& model) {
@@ -178,29 +112,20 @@ glm::dvec3 normal_incidence_albedo(const brdf::CookTorrance& model) {
 }
 
 Objective::Objective(const Observations& observations, ParameterLayout layout, ObjectiveOptions options)
-    : observations_(&observations), layout_(layout), options_(options) {}
+    : observations_(&observations), layout_(std::move(layout)), options_(options) {}
 
 double Objective::cost(const std::vector<double>& x) const {
   const brdf::CookTorrance model = layout_.unpack(x);
-  const auto& points = observations_->points;
-  std::vector<double> chunks((points.size() + points_per_chunk - 1) / points_per_chunk);
-  tbb::parallel_for(std::size_t{0}, chunks.size(), [&](std::size_t chunk) {
-    const std::size_t end = std::min(points.size(), (chunk + 1) * points_per_chunk);
-    double sum = 0;
-    for (std::size_t i = chunk * points_per_chunk; i < end; ++i) {
-      const glm::dvec3 f = model.value(points[i].cosines);
-      for (std::uint32_t k = points[i].first; k < points[i].end; ++k) {
-        const Observation& o = observations_->values[k];
-        sum += Huber(residual(o, f[o.channel]).value, options_.robust_scale).rho;
-      }
-    }
-    chunks[chunk] = sum;
+  const std::vector<Chunk> chunks = chunks_of(*observations_);
+  std::vector<double> costs(chunks.size());
+  tbb::parallel_for(std::size_t{0}, chunks.size(), [&](std::size_t i) {
+    costs[i] = fit::cost(*chunks[i].set, chunks[i].begin, chunks[i].end, model, options_.robust_scale);
   });
   double total = 0;
-  for (const double chunk : chunks) total += chunk;
+  for (const double c : costs) total += c;
   const glm::dvec3 albedo = normal_incidence_albedo(model);
-  for (int c = 0; c < layout_.n_channels; ++c) {
-    const double r = energy_residual(albedo[c], options_.energy_weight, observations_->values.size());
+  for (int c = 0; c < layout_.n_channels(); ++c) {
+    const double r = energy_residual(albedo[c], options_.energy_weight, observations_->n_values);
     total += r * r;
   }
   return total;
@@ -208,34 +133,73 @@ double Objective::cost(const std::vector<double>& x) const {
 
 Quadratic Objective::quadratic(const std::vector<double>& x, Curvature kind) const {
   const brdf::CookTorrance model = layout_.unpack(x);
-  const auto& points = observations_->points;
-  std::vector<Sums> chunks((points.size() + points_per_chunk - 1) / points_per_chunk);
-  tbb::parallel_for(std::size_t{0}, chunks.size(), [&](std::size_t chunk) {
-    const std::size_t end = std::min(points.size(), (chunk + 1) * points_per_chunk);
-    for (std::size_t i = chunk * points_per_chunk; i < end; ++i)
-      add_point(*observations_, points[i], layout_, model, options_.robust_scale, kind, chunks[chunk]);
+  const std::vector<Chunk> chunks = chunks_of(*observations_);
+  std::vector<Sums> sums(chunks.size());
+  tbb::parallel_for(std::size_t{0}, chunks.size(), [&](std::size_t i) {
+    add_quadratic(*chunks[i].set, chunks[i].begin, chunks[i].end, model, options_.robust_scale, kind, sums[i]);
   });
-
-  const int n = layout_.size(), n_local = 1 + 3 * layout_.n_lobes;
+  Sums total;
+  for (const Sums& chunk : sums)
+    for (std::size_t c = 0; c < 3; ++c) add(chunk[c], 1 + 3 * layout_.n_lobes(), total[c]);
   Quadratic q;
-  q.gradient.resize(static_cast<std::size_t>(n));
-  q.curvature.resize(static_cast<std::size_t>(n) * static_cast<std::size_t>(n));
-  for (int c = 0; c < layout_.n_channels; ++c) {
-    ChannelSums total;
-    for (const Sums& chunk : chunks) total.add(chunk[static_cast<std::size_t>(c)], n_local);
-    q.cost += total.cost;
-    for (int i = 0; i < n_local; ++i) {
-      const int gi = global_index(layout_, c, i);
-      q.gradient[gi] += total.gradient[i];
-      for (int j = i; j < n_local; ++j) {
-        const int gj = global_index(layout_, c, j);
-        q.curvature[gi * n + gj] += total.curvature[i][j];
-        if (gi != gj) q.curvature[gj * n + gi] += total.curvature[i][j];
-      }
-    }
-  }
-  add_energy(layout_, model, options_.energy_weight, observations_->values.size(), q);
+  add_sums(layout_, total, q);
+  add_energy(layout_, model, options_.energy_weight, observations_->n_values, q);
   return q;
+}
+
+GroupedQuadratics grouped_quadratics(const Objective& objective, const std::vector<double>& x) {
+  using brdf::TableGrid;
+  constexpr int n_strips = 15, rows_per_strip = TableGrid::n_theta_h / n_strips;  // fixed, so that the sums' order is
+  const ParameterLayout& layout = objective.layout();
+  const brdf::CookTorrance model = layout.unpack(x);
+  const int n = 1 + 3 * layout.n_lobes();
+  struct Group {
+    Sums sums;
+    bool seen = false;
+    void add(const Group& other, int size) {
+      if (!other.seen) return;
+      seen = true;
+      for (std::size_t c = 0; c < 3; ++c) fit::add(other.sums[c], size, sums[c]);
+    }
+  };
+  std::vector<Group> rows(TableGrid::n_theta_h);
+  std::vector<std::vector<Group>> columns(n_strips);
+  tbb::parallel_for(0, n_strips, [&](int strip) {
+    auto& strip_columns = columns[static_cast<std::size_t>(strip)];
+    strip_columns.resize(TableGrid::n_theta_d);
+    for (int h = strip * rows_per_strip; h < (strip + 1) * rows_per_strip; ++h)
+      for (const CellSet& set : objective.observations().sets) {
+        // Cells ascend: those of one theta_h and theta_d follow each other.
+        const auto first_cell = static_cast<std::uint32_t>(TableGrid::index(TableGrid::Cell{h, 0, 0}));
+        auto begin = std::lower_bound(set.cell.begin(), set.cell.end(), first_cell);
+        for (int d = 0; d < TableGrid::n_theta_d; ++d) {
+          const auto end = std::lower_bound(begin, set.cell.end(), first_cell + static_cast<std::uint32_t>((d + 1) * TableGrid::n_phi_d));
+          if (begin == end) continue;
+          Group group;
+          group.seen = true;
+          add_quadratic(set, static_cast<std::size_t>(begin - set.cell.begin()), static_cast<std::size_t>(end - set.cell.begin()), model,
+                        objective.options().robust_scale, Curvature::gauss_newton, group.sums);
+          rows[static_cast<std::size_t>(h)].add(group, n);
+          strip_columns[static_cast<std::size_t>(d)].add(group, n);
+          begin = end;
+        }
+      }
+  });
+  GroupedQuadratics result;
+  Group all;
+  for (const Group& row : rows) {
+    if (!row.seen) continue;
+    all.add(row, n);
+    add_sums(layout, row.sums, result.theta_h_rows.emplace_back());
+  }
+  for (std::size_t d = 0; d < TableGrid::n_theta_d; ++d) {
+    Group column;
+    for (const auto& strip : columns) column.add(strip[d], n);
+    if (column.seen) add_sums(layout, column.sums, result.theta_d_columns.emplace_back());
+  }
+  add_sums(layout, all.sums, result.all);
+  add_energy(layout, model, objective.options().energy_weight, objective.observations().n_values, result.all);
+  return result;
 }
 
 }  // namespace lacquer::fit

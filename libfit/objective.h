@@ -1,7 +1,9 @@
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
+#include "libfit/kernels.h"
 #include "libfit/observations.h"
 #include "libfit/parameters.h"
 
@@ -19,19 +21,12 @@ struct Quadratic {
   std::vector<double> curvature;  ///< by kind, row-major n x n, symmetric
 };
 
-/// gauss_newton: J^T W J, positive semidefinite, good where residuals are small, and the one that gives the
-/// covariance. newton: the Hessian of cost / 2, with the second derivatives of the model. Where a model does
-/// not fit the paint (measured films are off by tens of percents) it converges in a few steps where
-/// Gauss-Newton creeps; may be indefinite away from a minimum.
-enum class Curvature { gauss_newton, newton };
-
-/// Robust sum of squared residuals of the model over the observations, with analytic derivatives. Parameters
-/// as in ParameterLayout.
+/// Robust sum of squared residuals of the model over the observations, with analytic derivatives. Parameters as in ParameterLayout.
 ///
-/// Residual: ln((f + t) / (mean + t)) / sigma with t = 1e-3 mean, which is the logarithm of the ratio unless
-/// the model is off by a factor of hundreds and stays finite where it underflows; (f - mean) / sigma for weak
-/// signals. Only normal equations are kept, never a Jacobian, so memory does not grow with the number of
-/// cells. The sums run over fixed chunks: the result has the same bits for any number of threads.
+/// Residual: ln((f + t) / (target + t)) / sigma with t = 1e-3 target, which is the logarithm of the ratio unless the model is off by a
+/// factor of hundreds and stays finite where it underflows; (f - target) / sigma for weak signals. Only normal equations are kept, never a
+/// Jacobian, so memory does not grow with the number of cells. The sums run over fixed chunks: the result has the same bits for any
+/// number of threads.
 class Objective {
  public:
   /// Keeps a reference: `observations` must outlive the objective and keep their weights.
@@ -49,6 +44,14 @@ class Objective {
   ParameterLayout layout_;
   ObjectiveOptions options_;
 };
+
+/// Gauss-Newton quadratics: all cells, and groups of cells that may share an error. Groups without cells are left out and do not contain
+/// the energy penalty.
+struct GroupedQuadratics {
+  Quadratic all;
+  std::vector<Quadratic> theta_h_rows, theta_d_columns;
+};
+GroupedQuadratics grouped_quadratics(const Objective& objective, const std::vector<double>& x);
 
 /// Estimate of the albedo at normal incidence per channel: kd + sum of 4 ks r (1 - exp(-0.6 / m^2)). The
 /// lobe's integral over the hemisphere at normal incidence has no closed form because of shadowing; the last

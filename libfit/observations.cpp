@@ -1,11 +1,15 @@
 #include "libfit/observations.h"
 
+#include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <numbers>
+
+#include "libfit/kernels.h"
 
 namespace lacquer::fit {
 
@@ -17,6 +21,9 @@ using brdf::TableGrid;
 /// Below this many sigmas a value is compared linearly: at 5 sigma the logarithm is still biased by 2 %
 /// before, 0.1 % after correction.
 constexpr double weak_signal = 5.0;
+
+/// Cosines up to this are grazing whatever the options say: 1 / cos^6 must fit into a float.
+constexpr double nearest_to_horizon = 1e-6;
 
 brdf::HalfDiff coordinates(const brdf::TableChannel& t, std::size_t i) {
   return {t.theta_h[i], t.theta_d[i], t.phi_d[i]};
@@ -46,8 +53,10 @@ bool in_hemisphere(const brdf::HalfDiff& c) {
          std::isfinite(c.phi_d);
 }
 
-/// Decides about one channel of one cell, counts why not.
-bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, LeftOut& left_out) {
+/// Decides about one channel of one cell, counts why not. `previous`: the channel that was last asked for cosines, which are not computed
+/// again at the same place.
+bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, double safe_angle, const brdf::TableChannel* previous, bool& previous_grazing,
+            LeftOut& left_out) {
   if (t.origin[i] == CellOrigin::empty) return false;
   if (t.origin[i] != CellOrigin::measured) {
     ++left_out.not_measured;
@@ -63,12 +72,14 @@ bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, LeftO
     ++left_out.not_positive;
     return false;
   }
-  const auto cosines = brdf::half_angle_cosines(c);
-  if (std::min(cosines.n_dot_i, cosines.n_dot_o) <= min_cosine) {
-    ++left_out.grazing;
-    return false;
+  if (c.theta_h + c.theta_d < safe_angle) {  // no azimuth brings a direction beyond the sum of the two
+    previous_grazing = false;
+  } else if (!previous || !same_place(t, *previous, i)) {
+    const auto cosines = brdf::half_angle_cosines(c);
+    previous_grazing = std::min(cosines.n_dot_i, cosines.n_dot_o) <= std::max(min_cosine, nearest_to_horizon);
   }
-  return true;
+  left_out.grazing += previous_grazing;
+  return !previous_grazing;
 }
 
 /// Splits ascending indices into runs of one (theta_h, group of `width` theta_d) each; returns the run
@@ -94,35 +105,41 @@ std::uint64_t total_with_limit(const std::vector<std::uint32_t>& sizes, std::uin
 
 }  // namespace
 
-std::vector<std::uint32_t> usable_cells(const brdf::HalfAngleTable& table, const FitOptions& options,
-                                        LeftOut& left_out) {
-  struct Row {
-    std::vector<std::uint32_t> cells;
-    LeftOut left_out;
-  };
+UsableCells usable_cells(const brdf::HalfAngleTable& table, const FitOptions& options) {
   constexpr std::size_t per_row = std::size_t{TableGrid::n_theta_d} * TableGrid::n_phi_d;
-  std::vector<Row> rows(TableGrid::n_theta_h);
+  const double safe_angle = std::acos(std::max(options.min_cosine, nearest_to_horizon)) - 1e-5;
+  std::vector<UsableCells> rows(TableGrid::n_theta_h);
   tbb::parallel_for(std::size_t{0}, rows.size(), [&](std::size_t row) {
     for (std::size_t i = row * per_row; i < (row + 1) * per_row; ++i) {
-      bool any = false;
-      for (const auto& channel : table.channels)
-        any |= usable(channel, i, options.min_cosine, rows[row].left_out);
-      if (any) rows[row].cells.push_back(static_cast<std::uint32_t>(i));
+      unsigned channels = 0;
+      const brdf::TableChannel* previous = nullptr;
+      bool grazing = false;
+      for (std::size_t c = 0; c < table.channels.size(); ++c) {
+        const brdf::TableChannel& t = table.channels[c];
+        if (!usable(t, i, options.min_cosine, safe_angle, previous, grazing, rows[row].left_out)) continue;
+        previous = &t;
+        channels |= 1u << c;
+      }
+      if (channels == 0) continue;
+      rows[row].cells.push_back(static_cast<std::uint32_t>(i));
+      rows[row].channels.push_back(static_cast<std::uint8_t>(channels));
     }
   });
-  std::vector<std::uint32_t> cells;
-  for (const Row& row : rows) {
-    cells.insert(cells.end(), row.cells.begin(), row.cells.end());
-    left_out.grazing += row.left_out.grazing;
-    left_out.not_positive += row.left_out.not_positive;
-    left_out.not_finite += row.left_out.not_finite;
-    left_out.not_measured += row.left_out.not_measured;
+  UsableCells all;
+  for (const UsableCells& row : rows) {
+    all.cells.insert(all.cells.end(), row.cells.begin(), row.cells.end());
+    all.channels.insert(all.channels.end(), row.channels.begin(), row.channels.end());
+    all.left_out.grazing += row.left_out.grazing;
+    all.left_out.not_positive += row.left_out.not_positive;
+    all.left_out.not_finite += row.left_out.not_finite;
+    all.left_out.not_measured += row.left_out.not_measured;
   }
-  return cells;
+  return all;
 }
 
-std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& cells, std::size_t max_cells) {
-  if (cells.size() <= max_cells) return cells;
+UsableCells stratified_choice(const UsableCells& usable, std::size_t max_cells) {
+  const std::vector<std::uint32_t>& cells = usable.cells;
+  if (cells.size() <= max_cells) return usable;
   int width = 1;
   std::vector<std::uint32_t> sizes = group_sizes(cells, width);
   while (sizes.size() > max_cells && width < TableGrid::n_theta_d) sizes = group_sizes(cells, width *= 2);
@@ -144,8 +161,8 @@ std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& c
   const std::uint64_t left_over = max_cells - total_with_limit(sizes, low);
   std::uint64_t seen = 0;
 
-  std::vector<std::uint32_t> chosen;
-  chosen.reserve(max_cells);
+  UsableCells chosen;
+  chosen.left_out = usable.left_out;
   std::size_t begin = 0;
   double shift = 0;
   for (const std::uint32_t size : sizes) {
@@ -158,7 +175,8 @@ std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& c
       // The first place within a step moves from group to group by the golden ratio, so that phi_d is covered
       // evenly as a whole.
       const auto place = static_cast<std::size_t>((k + (n == size ? 0.0 : shift)) * size / n);
-      chosen.push_back(cells[begin + place]);
+      chosen.cells.push_back(cells[begin + place]);
+      chosen.channels.push_back(usable.channels[begin + place]);
     }
     begin += size;
     shift += std::numbers::phi - 1;
@@ -167,54 +185,136 @@ std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& c
   return chosen;
 }
 
-Observations observe(const brdf::HalfAngleTable& table, const std::vector<std::uint32_t>& cells,
-                     const FitOptions& options) {
-  Observations result;
-  result.n_channels = static_cast<int>(table.channels.size());
-  result.n_cells = cells.size();
-  result.points.reserve(cells.size());
-  result.values.reserve(cells.size() * table.channels.size());
-  LeftOut ignored;
-  for (const std::uint32_t i : cells) {
-    const brdf::TableChannel* previous = nullptr;
-    for (std::size_t c = 0; c < table.channels.size(); ++c) {
+namespace {
+
+/// The cells' sets: index of the set for channel `c` of cell `k`; shared cells are in set 0.
+struct SetSizes {
+  bool footprint = false;
+  std::array<std::vector<std::uint32_t>, 4> cells;  ///< positions in UsableCells: shared by all channels, then of channel 0, 1, 2 alone
+};
+
+SetSizes sort_into_sets(const brdf::HalfAngleTable& table, const UsableCells& cells) {
+  SetSizes sizes;
+  const std::size_t n_channels = table.channels.size();
+  for (std::uint32_t k = 0; k < cells.cells.size(); ++k) {
+    const std::uint32_t i = cells.cells[k];
+    const brdf::TableChannel* first = nullptr;
+    bool shared = true;
+    for (std::size_t c = 0; c < n_channels; ++c) {
+      if (!(cells.channels[k] >> c & 1)) continue;
       const brdf::TableChannel& t = table.channels[c];
-      if (!usable(t, i, options.min_cosine, ignored)) continue;
-      const auto next = static_cast<std::uint32_t>(result.values.size());
-      if (!previous || !same_place(t, *previous, i)) {
-        result.points.push_back({brdf::half_angle_cosines(coordinates(t, i)), next, next});
-        result.points.back().cosines.footprint = footprint(t, i);
-      }
-      previous = &t;
-      result.values.push_back(
-          {.mean = t.mean[i], .variance = t.variance[i], .channel = static_cast<std::uint8_t>(c)});
-      result.points.back().end = next + 1;
+      sizes.footprint |= t.footprint_along[i] != 0 || t.footprint_across[i] != 0;
+      if (!first)
+        first = &t;
+      else
+        shared &= same_place(t, *first, i);
+    }
+    if (shared) {
+      sizes.cells[0].push_back(k);
+    } else {
+      for (std::size_t c = 0; c < n_channels; ++c)
+        if (cells.channels[k] >> c & 1) sizes.cells[c + 1].push_back(k);
     }
   }
-  weigh(result, options.model_sigma);
+  return sizes;
+}
+
+/// Geometry of the positions `members` of `cells`; targets and weights stay to be set.
+CellSet cell_set(const brdf::HalfAngleTable& table, const UsableCells& cells, const std::vector<std::uint32_t>& members, int first_channel,
+                 int n_channels, bool footprints) {
+  CellSet set;
+  set.first_channel = first_channel;
+  set.n_channels = n_channels;
+  set.cell.resize(members.size());
+  for (auto* column : {&set.tan2_theta_h, &set.schlick_weight, &set.front}) column->resize(members.size());
+  if (footprints)
+    for (auto* column : {&set.along, &set.across, &set.mixed}) column->resize(members.size());
+  for (int c = 0; c < n_channels; ++c) {
+    set.channels[static_cast<std::size_t>(c)].target.resize(members.size());
+    set.channels[static_cast<std::size_t>(c)].inverse_sigma.resize(members.size());
+  }
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, members.size(), 4096), [&](const auto& range) {
+    for (std::size_t k = range.begin(); k < range.end(); ++k) {
+      const std::uint32_t i = cells.cells[members[k]];
+      set.cell[k] = i;
+      std::size_t c = static_cast<std::size_t>(first_channel);
+      while (!(cells.channels[members[k]] >> c & 1)) ++c;
+      const brdf::TableChannel& t = table.channels[c];
+      const auto cosines = brdf::half_angle_cosines(coordinates(t, i));
+      const double nh2 = cosines.n_dot_h * cosines.n_dot_h;
+      set.tan2_theta_h[k] = static_cast<float>(cosines.tan2_theta_h);
+      set.schlick_weight[k] = static_cast<float>(brdf::schlick_weight(cosines.i_dot_h));
+      set.front[k] = static_cast<float>(brdf::geometry_over_cosines(cosines) * std::numbers::inv_pi / (nh2 * nh2));
+      if (!footprints) continue;
+      set.along[k] = t.footprint_along[i];
+      set.across[k] = t.footprint_across[i];
+      set.mixed[k] = t.footprint_mixed[i];
+    }
+  });
+  return set;
+}
+
+/// How one value is compared with the model.
+struct Comparison {
+  float target = 1, inverse_sigma = 0;
+};
+
+/// `signal`: what is believed to be the true value.
+Comparison comparison(double mean, double variance, double signal, double model_sigma) {
+  const double noise = std::sqrt(variance);
+  const auto hypotenuse = [](double a, double b) { return std::sqrt(a * a + b * b); };  // neither overflows nor vanishes: floats
+  // The mean too must be clear of zero, whatever the reference says: its logarithm is taken.
+  if (mean > noise && signal > weak_signal * noise) {
+    // E[ln(true + noise)] = ln(true) - variance / (2 true^2): the target is raised by that much.
+    const double relative = noise / signal, bias = variance / (mean * mean) / 2;
+    return {static_cast<float>(mean * std::exp(bias)), static_cast<float>(1 / hypotenuse(relative, model_sigma))};
+  }
+  return {static_cast<float>(mean), static_cast<float>(-1 / hypotenuse(noise, model_sigma * std::max(signal, mean)))};
+}
+
+}  // namespace
+
+Observations observe(const brdf::HalfAngleTable& table, const UsableCells& cells) {
+  Observations result;
+  result.table = &table;
+  result.n_channels = static_cast<int>(table.channels.size());
+  result.n_cells = cells.cells.size();
+  for (const std::uint8_t channels : cells.channels) result.n_values += static_cast<std::size_t>(std::popcount(channels));
+  const SetSizes sizes = sort_into_sets(table, cells);
+  for (int s = 0; s <= result.n_channels; ++s) {
+    const auto& members = sizes.cells[static_cast<std::size_t>(s)];
+    if (members.empty()) continue;
+    result.sets.push_back(cell_set(table, cells, members, std::max(0, s - 1), s == 0 ? result.n_channels : 1, sizes.footprint));
+    CellSet& set = result.sets.back();
+    for (std::size_t k = 0; k < members.size(); ++k)
+      for (int c = 0; c < set.n_channels; ++c)  // marks what is not usable; `weigh` leaves it alone
+        set.channels[static_cast<std::size_t>(c)].inverse_sigma[k] =
+            static_cast<float>(cells.channels[members[k]] >> (set.first_channel + c) & 1);
+  }
   return result;
 }
 
 void weigh(Observations& observations, double model_sigma, const brdf::CookTorrance* reference) {
-  tbb::parallel_for(std::size_t{0}, observations.points.size(), [&](std::size_t i) {
-    const Point& point = observations.points[i];
-    const glm::dvec3 expected = reference ? reference->value(point.cosines) : glm::dvec3(0);
-    for (std::uint32_t k = point.first; k < point.end; ++k) {
-      Observation& o = observations.values[k];
-      const double noise = std::sqrt(double{o.variance});
-      const double signal = reference ? expected[o.channel] : std::max(double{o.mean}, 0.0);
-      // The mean too must be clear of zero, whatever the reference says: its logarithm is taken.
-      o.logarithmic = o.mean > noise && (signal > weak_signal * noise);
-      if (o.logarithmic) {
-        const double relative = noise / signal, measured_relative = noise / o.mean;
-        o.inverse_sigma = 1 / std::hypot(relative, model_sigma);
-        o.log_bias = static_cast<float>(measured_relative * measured_relative / 2);
-      } else {
-        o.inverse_sigma = 1 / std::hypot(noise, model_sigma * std::max(signal, double{o.mean}));
-        o.log_bias = 0;
+  for (CellSet& set : observations.sets)
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, set.size(), 4096), [&](const auto& range) {
+      std::array<std::vector<double>, 3> values;
+      if (reference) evaluate(set, range.begin(), range.end(), *reference, values);
+      for (int c = 0; c < set.n_channels; ++c) {
+        const brdf::TableChannel& t = observations.table->channels[static_cast<std::size_t>(set.first_channel + c)];
+        CellSet::Channel& channel = set.channels[static_cast<std::size_t>(c)];
+        for (std::size_t k = range.begin(); k < range.end(); ++k) {
+          if (channel.inverse_sigma[k] == 0) {
+            channel.target[k] = 1;
+            continue;
+          }
+          const double mean = t.mean[set.cell[k]];
+          const double signal = reference ? values[static_cast<std::size_t>(c)][k - range.begin()] : std::max(mean, 0.0);
+          const Comparison compared = comparison(mean, t.variance[set.cell[k]], signal, model_sigma);
+          channel.target[k] = compared.target;
+          channel.inverse_sigma[k] = compared.inverse_sigma;
+        }
       }
-    }
-  });
+    });
 }
 
 }  // namespace lacquer::fit

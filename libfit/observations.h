@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -10,48 +11,51 @@
 
 namespace lacquer::fit {
 
-/// One channel's value of one cell, with how it is compared with the model.
-struct Observation {
-  double inverse_sigma = 0;  ///< 1 / sigma of the logarithm, or of the value where !logarithmic
-  float mean = 0;            ///< 1/sr
-  float variance = 0;        ///< of the mean, (1/sr)^2
-  float log_bias = 0;  ///< E[ln(true + noise)] = ln(true) - variance / (2 true^2): what is added to ln(mean)
-  std::uint8_t channel = 0;
-  bool logarithmic = true;
+/// Cells whose channels [first_channel, first_channel + n_channels) share their directions, as a structure of arrays: what the loops over
+/// all cells read. Floats suffice, because a table's coordinates and values are floats; all arithmetic on them is double.
+struct CellSet {
+  int first_channel = 0, n_channels = 0;
+  std::vector<std::uint32_t> cell;    ///< index in the table's grid, ascending
+  std::vector<float> tan2_theta_h;    ///< tan^2(theta_h)
+  std::vector<float> schlick_weight;  ///< (1 - cos(theta_d))^5
+  std::vector<float> front;           ///< G / (pi (n.wi)(n.wo) cos^4(theta_h)): what of a lobe depends on the directions alone
+  std::vector<float> along, across, mixed;  ///< footprint, see brdf::Footprint; all empty: points
+  struct Channel {
+    std::vector<float> target;  ///< value that the model is compared with, 1/sr; 1 where not used
+    /// 1 / sigma of the logarithm; minus 1 / sigma of the value where values are compared; 0: not used.
+    std::vector<float> inverse_sigma;
+  };
+  std::array<Channel, 3> channels;  ///< [0, n_channels)
+
+  std::size_t size() const { return cell.size(); }
 };
 
-/// Directions shared by the observations [first, end).
-struct Point {
-  brdf::HalfAngleCosines<double> cosines;
-  std::uint32_t first = 0, end = 0;
-};
-
-/// What a fit sees of a table, in the table's order.
+/// What a fit sees of a table: cells whose channels lie at the same place, then those of each channel that do not.
 struct Observations {
+  const brdf::HalfAngleTable* table = nullptr;  ///< must outlive the observations
   int n_channels = 3;
-  std::vector<Point> points;
-  std::vector<Observation> values;
-  std::size_t n_cells = 0;
-  std::size_t n_cells_available = 0;
+  std::vector<CellSet> sets;
+  std::size_t n_cells = 0;   ///< with at least one usable channel
+  std::size_t n_values = 0;  ///< usable cells times channels
+};
+
+/// Decision about every cell of a table.
+struct UsableCells {
+  std::vector<std::uint32_t> cells;    ///< with at least one usable channel, ascending
+  std::vector<std::uint8_t> channels;  ///< of each of `cells`: bit c: channel c is usable
   LeftOut left_out;
 };
+UsableCells usable_cells(const brdf::HalfAngleTable& table, const FitOptions& options);
 
-/// Indices of the cells with at least one usable channel, ascending.
-std::vector<std::uint32_t> usable_cells(const brdf::HalfAngleTable& table, const FitOptions& options,
-                                        LeftOut& left_out);
+/// At most `max_cells` of the cells, spread over theta_h, theta_d and phi_d: every (theta_h, theta_d) group gives the same number of
+/// cells, or all it has. Full where the grid is sparse, as at the peak of a clear coat. Deterministic.
+UsableCells stratified_choice(const UsableCells& cells, std::size_t max_cells);
 
-/// At most `max_cells` of `cells` (ascending indices), spread over theta_h, theta_d and phi_d: every
-/// (theta_h, theta_d) group gives the same number of cells, or all it has. Full where the grid is sparse, as
-/// at the peak of a clear coat. Deterministic.
-std::vector<std::uint32_t> stratified_choice(const std::vector<std::uint32_t>& cells, std::size_t max_cells);
+/// Observations of these cells at their mean coordinates, to be weighted by `weigh`. Keeps a reference to the table.
+Observations observe(const brdf::HalfAngleTable& table, const UsableCells& cells);
 
-/// Observations of these cells at their mean coordinates, weighted by `weigh` without a reference.
-Observations observe(const brdf::HalfAngleTable& table, const std::vector<std::uint32_t>& cells,
-                     const FitOptions& options);
-
-/// Sets sigma and kind of every observation. `reference`: model whose values stand in for the noisy means, so
-/// that a weight does not depend on the noise of its own cell (which would bias the fit); null: the means
-/// themselves.
+/// Sets target and sigma of every value. `reference`: model whose values stand in for the noisy means, so that a weight does not depend
+/// on the noise of its own cell (which would bias the fit); null: the means themselves.
 void weigh(Observations& observations, double model_sigma, const brdf::CookTorrance* reference = nullptr);
 
 }  // namespace lacquer::fit

@@ -1,10 +1,5 @@
 #include "libfit/solver.h"
 
-#include <ceres/cost_function.h>
-#include <ceres/iteration_callback.h>
-#include <ceres/problem.h>
-#include <ceres/solver.h>
-
 #include <algorithm>
 #include <cmath>
 
@@ -12,162 +7,162 @@ namespace lacquer::fit {
 
 namespace {
 
-/// Upper Cholesky factor R of a positive semidefinite matrix, R^T R = a, as far as its numerical rank goes: a
-/// row whose pivot vanishes beside its diagonal is zero (a parameter the data says nothing about). False: `a`
-/// is indefinite, beyond rounding.
-bool semidefinite_factor(const std::vector<double>& a, int n, std::vector<double>& factor) {
+/// Solves a z = b by Cholesky for the indices `free` of an n x n matrix with unit diagonal plus `damping`; a pivot that vanishes (a
+/// parameter the data says nothing about) makes a zero. False: `a` is indefinite, beyond rounding.
+bool solve(const std::vector<double>& a, const std::vector<double>& b, const std::vector<int>& free, int n, double damping,
+           std::vector<double>& z) {
   constexpr double rounding = 1e-14;
-  bool semidefinite = true;
-  factor.assign(a.size(), 0.0);
-  for (int k = 0; k < n; ++k) {
-    double pivot = a[k * n + k];
-    for (int i = 0; i < k; ++i) pivot -= factor[i * n + k] * factor[i * n + k];
-    semidefinite &= a[k * n + k] >= 0 && pivot >= -1e-10 * a[k * n + k];
-    const bool vanishes = !(pivot > rounding * a[k * n + k]);
-    const double root = vanishes ? 0 : std::sqrt(pivot);
-    factor[k * n + k] = root;
-    for (int j = k + 1; j < n; ++j) {
-      double sum = a[k * n + j];
-      for (int i = 0; i < k; ++i) sum -= factor[i * n + k] * factor[i * n + j];
-      if (!vanishes)
-        factor[k * n + j] = sum / root;
-      else
-        semidefinite &=
-            std::abs(sum) <= 1e-5 * std::sqrt(std::abs(a[k * n + k])) * std::sqrt(std::abs(a[j * n + j]));
+  const int size = static_cast<int>(free.size());
+  std::vector<double> lower(static_cast<std::size_t>(size) * size), y(free.size());
+  std::vector<bool> vanishes(free.size());
+  for (int i = 0; i < size; ++i) {
+    for (int j = 0; j <= i; ++j) {
+      double sum = a[free[i] * n + free[j]] + (i == j ? damping : 0);
+      for (int k = 0; k < j; ++k) sum -= lower[i * size + k] * lower[j * size + k];
+      if (i == j) {
+        if (sum < -1e-10) return false;
+        vanishes[i] = sum <= rounding;
+        lower[i * size + i] = vanishes[i] ? 0 : std::sqrt(sum);
+      } else if (vanishes[j]) {
+        if (std::abs(sum) > 1e-5) return false;
+        lower[i * size + j] = 0;
+      } else {
+        lower[i * size + j] = sum / lower[j * size + j];
+      }
     }
+    double sum = b[free[i]];
+    for (int k = 0; k < i; ++k) sum -= lower[i * size + k] * y[k];
+    y[i] = vanishes[i] ? 0 : sum / lower[i * size + i];
   }
-  return semidefinite;
+  z.assign(b.size(), 0.0);
+  for (int i = size - 1; i >= 0; --i) {
+    double sum = y[i];
+    for (int k = i + 1; k < size; ++k) sum -= lower[k * size + i] * z[free[k]];
+    z[free[i]] = vanishes[i] ? 0 : sum / lower[i * size + i];
+  }
+  return true;
 }
 
-/// The whole objective as n + 1 residuals: n rows R with R^T R = the curvature and residuals R^-T g, and one
-/// residual without derivative that holds the rest of the cost. Ceres sees the cost and gradient of the
-/// millions of single residuals, whose Jacobian is never stored, and a better curvature.
-///
-/// Parameters at a bound whose gradient points outwards are held (zero column): Ceres would clip their step
-/// after solving for it, which spoils the step of everything correlated with them.
-class CompressedObjective final : public ceres::CostFunction {
+struct Step {
+  std::vector<double> to;  ///< within the bounds
+  double gain = 0;         ///< of the cost, as the quadratic promises it
+};
+
+/// The quadratic's minimum within a box.
+class BoundedStep {
  public:
-  CompressedObjective(const Objective& objective, std::vector<double> lower, std::vector<double> upper)
-      : objective_(objective), lower_(std::move(lower)), upper_(std::move(upper)) {
-    mutable_parameter_block_sizes()->push_back(size());
-    set_num_residuals(size() + 1);
+  BoundedStep(const Quadratic& q, const std::vector<double>& x, const std::vector<double>& lower, const std::vector<double>& upper)
+      : n_(static_cast<int>(x.size())), x_(x), lower_(lower), upper_(upper), scale_(x.size()), g_(q.gradient), h_(q.curvature) {
+    for (int i = 0; i < n_; ++i) {
+      const double diagonal = std::abs(h_[i * n_ + i]);
+      scale_[i] = diagonal > 0 ? 1 / std::sqrt(diagonal) : 0;
+    }
+    for (int i = 0; i < n_; ++i) {
+      g_[i] *= scale_[i];
+      for (int j = 0; j < n_; ++j) h_[i * n_ + j] *= scale_[i] * scale_[j];
+    }
   }
 
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    const int n = size();
-    const std::vector<double> x(parameters[0], parameters[0] + n);
-    std::fill(residuals, residuals + n + 1, 0.0);
-    if (!jacobians || !jacobians[0]) {
-      // A wild step may overflow. Ceres takes a large cost as a bad step; a failed evaluation it would report
-      // on stderr.
-      const double cost = objective_.cost(x);
-      residuals[n] = std::isfinite(cost) ? std::sqrt(cost) : 1e150;
-      return true;
+  /// False: the curvature is no bowl, even damped.
+  bool step(double damping, Step& out) const {
+    // Parameters at a bound that the gradient pushes outwards stay there; those that the step carries to a bound are put on it, one after
+    // the other, and the rest is solved again: clipping the whole step would spoil everything correlated with them.
+    std::vector<double> p(x_.size()), fixed(x_.size());
+    std::vector<bool> held(x_.size());
+    for (int i = 0; i < n_; ++i)
+      held[i] = scale_[i] == 0 || (x_[i] <= lower_[i] && g_[i] > 0) || (x_[i] >= upper_[i] && g_[i] < 0);
+    for (;;) {
+      std::vector<int> free;
+      std::vector<double> rhs(x_.size());
+      for (int i = 0; i < n_; ++i) {
+        if (held[i]) continue;
+        free.push_back(i);
+        rhs[i] = -g_[i];
+        for (int j = 0; j < n_; ++j) rhs[i] -= h_[i * n_ + j] * fixed[j];
+      }
+      if (!solve(h_, rhs, free, n_, damping, p)) return false;
+      int worst = -1;
+      double excess = 0;
+      for (const int i : free) {
+        const double to = x_[i] + scale_[i] * p[i];
+        const double beyond = std::max(lower_[i] - to, to - upper_[i]) / scale_[i];
+        if (beyond > excess) worst = i, excess = beyond;
+      }
+      if (worst < 0) break;
+      held[worst] = true;
+      fixed[worst] = ((p[worst] < 0 ? lower_ : upper_)[worst] - x_[worst]) / scale_[worst];
     }
-    // The Hessian where it is a bowl over a cost that stays positive, else Gauss-Newton's matrix.
-    if (!compress(objective_.quadratic(x, Curvature::newton), x, residuals, jacobians[0]))
-      compress(objective_.quadratic(x, Curvature::gauss_newton), x, residuals, jacobians[0]);
+    out.to = x_;
+    out.gain = 0;
+    for (int i = 0; i < n_; ++i) {
+      if (held[i]) p[i] = fixed[i];
+      out.to[i] = std::clamp(x_[i] + scale_[i] * p[i], lower_[i], upper_[i]);
+    }
+    for (int i = 0; i < n_; ++i) {
+      double hp = 0;
+      for (int j = 0; j < n_; ++j) hp += h_[i * n_ + j] * p[j];
+      out.gain -= p[i] * (2 * g_[i] + hp);
+    }
     return true;
   }
 
  private:
-  int size() const { return objective_.layout().size(); }
-
-  /// Always fills the output; false where the quadratic has no such form, which for Gauss-Newton's is nothing
-  /// but rounding.
-  bool compress(Quadratic q, const std::vector<double>& x, double* residuals, double* jacobian) const {
-    const int n = size();
-    hold_parameters_at_bounds(x, q);
-    std::vector<double> factor;
-    const bool semidefinite = semidefinite_factor(q.curvature, n, factor);
-    double explained = 0;
-    for (int k = 0; k < n; ++k) {
-      residuals[k] = 0;
-      const double diagonal = factor[k * n + k];
-      if (diagonal == 0) continue;
-      double sum = q.gradient[k];
-      for (int i = 0; i < k; ++i) sum -= factor[i * n + k] * residuals[i];
-      residuals[k] = sum / diagonal;
-      explained += residuals[k] * residuals[k];
-    }
-    residuals[n] = std::sqrt(std::max(0.0, q.cost - explained));
-    std::copy(factor.begin(), factor.end(), jacobian);
-    std::fill(jacobian + n * n, jacobian + n * (n + 1), 0.0);
-    return semidefinite && explained <= q.cost;
-  }
-
-  void hold_parameters_at_bounds(const std::vector<double>& x, Quadratic& q) const {
-    const int n = size();
-    for (int k = 0; k < n; ++k) {
-      if (!((x[k] <= lower_[k] && q.gradient[k] > 0) || (x[k] >= upper_[k] && q.gradient[k] < 0))) continue;
-      q.gradient[k] = 0;
-      for (int j = 0; j < n; ++j) q.curvature[k * n + j] = q.curvature[j * n + k] = 0;
-    }
-  }
-
-  const Objective& objective_;
-  std::vector<double> lower_, upper_;
+  int n_;
+  std::vector<double> x_, lower_, upper_, scale_, g_, h_;  // gradient and curvature scaled to a unit diagonal
 };
-
-/// Stops when a step moves nothing that matters: cost is a sum of squares in sigmas, so a gain of 1e-8 moves
-/// every parameter by less than about 1e-4 of its standard error. Ends the creeping along valleys of
-/// parameters that are not determined.
-class StopWhenInsignificant final : public ceres::IterationCallback {
- public:
-  ceres::CallbackReturnType operator()(const ceres::IterationSummary& step) override {
-    constexpr double insignificant = 1e-8;
-    if (step.iteration == 0 || !step.step_is_successful || 2 * step.cost_change > insignificant)
-      return ceres::SOLVER_CONTINUE;
-    return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
-  }
-};
-
-std::string reason(const ceres::Solver::Summary& summary) {
-  if (summary.termination_type == ceres::USER_SUCCESS) return "Gain of a step is far below the errors";
-  // One line, without the numbers of the last step.
-  const std::string text = summary.message.substr(0, summary.message.find('\n'));
-  return text.substr(0, text.find(". "));
-}
 
 }  // namespace
 
 Solution minimise(const Objective& objective, std::vector<double> start, const SolverOptions& options) {
-  const ParameterLayout& layout = objective.layout();
-  const std::vector<double> lower = layout.lower_bounds(options.min_m), upper = layout.upper_bounds();
+  const std::vector<double> lower = objective.layout().lower_bounds(options.min_m), upper = objective.layout().upper_bounds();
   for (std::size_t k = 0; k < start.size(); ++k) start[k] = std::clamp(start[k], lower[k], upper[k]);
-
-  CompressedObjective cost(objective, lower, upper);
-  ceres::Problem::Options problem_options;
-  problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  ceres::Problem problem(problem_options);
   Solution solution{.x = std::move(start)};
-  problem.AddResidualBlock(&cost, nullptr, solution.x.data());
-  for (int k = 0; k < layout.size(); ++k) {
-    problem.SetParameterLowerBound(solution.x.data(), k, lower[k]);
-    if (std::isfinite(upper[k])) problem.SetParameterUpperBound(solution.x.data(), k, upper[k]);
+  Quadratic q = objective.quadratic(solution.x, Curvature::newton);
+  bool gauss_newton = false;
+  double damping = options.damping, growth = 4;
+  const auto finish = [&](bool converged, const char* message) {
+    solution.cost = q.cost;
+    solution.converged = converged;
+    solution.message = message;
+    return solution;
+  };
+  for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
+    Step step;
+    if (!BoundedStep(q, solution.x, lower, upper).step(damping, step) || step.gain < 0) {
+      // The Hessian is no bowl here; Gauss-Newton's matrix always is but for rounding.
+      if (gauss_newton) {
+        damping = std::max(1e-8, damping * growth);
+        growth *= 2;
+        if (damping > 1e16) return finish(false, "No step lowers the cost");
+      } else {
+        q = objective.quadratic(solution.x, Curvature::gauss_newton);
+        gauss_newton = true;
+      }
+      continue;
+    }
+    const bool small_damping = damping <= 1e-3;
+    if (small_damping && step.gain <= std::max(options.insignificant, options.function_tolerance * q.cost)) {
+      solution.x = step.to;  // too small to be worth a look
+      q.cost = std::max(0.0, q.cost - step.gain);
+      return finish(true, "The next step gains far less than the errors");
+    }
+    Quadratic next = objective.quadratic(step.to, Curvature::newton);
+    const double ratio = (q.cost - next.cost) / step.gain;
+    if (std::isfinite(next.cost) && ratio > 1e-3) {
+      solution.x = std::move(step.to);
+      q = std::move(next);
+      gauss_newton = false;
+      damping *= std::clamp(1 - std::pow(2 * ratio - 1, 3), 0.1, 2.0);  // Nielsen 1999
+      if (damping < 1e-12) damping = 0;
+      growth = 4;
+      continue;
+    }
+    if (step.gain <= 1e-13 * q.cost) return finish(true, "The next step is below rounding");
+    damping = std::max(1e-6, damping) * growth;
+    growth *= 2;
+    if (damping > 1e16) return finish(false, "No step lowers the cost");
   }
-
-  ceres::Solver::Options solver;
-  solver.linear_solver_type = ceres::DENSE_QR;
-  solver.max_num_iterations = options.max_iterations;
-  solver.function_tolerance = options.function_tolerance;
-  solver.gradient_tolerance = 1e-14;
-  solver.parameter_tolerance = 1e-13;
-  solver.max_num_consecutive_invalid_steps = 20;
-  solver.logging_type = ceres::SILENT;
-  solver.num_threads = 1;                                    // the objective is parallel inside
-  solver.line_search_interpolation_type = ceres::BISECTION;  // the others evaluate a gradient for each trial
-  StopWhenInsignificant stop;
-  solver.callbacks.push_back(&stop);
-  solver.update_state_every_iteration = false;
-  ceres::Solver::Summary summary;
-  ceres::Solve(solver, &problem, &summary);
-
-  solution.cost = 2 * summary.final_cost;
-  solution.converged =
-      summary.termination_type == ceres::CONVERGENCE || summary.termination_type == ceres::USER_SUCCESS;
-  solution.message = reason(summary);
-  return solution;
+  return finish(false, "Maximum number of iterations reached");
 }
 
 }  // namespace lacquer::fit

@@ -5,17 +5,19 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <numbers>
+#include <utility>
 
 #include "libbrdf/table.h"
+#include "libfit/kernels.h"
 #include "libfit/nonnegative_least_squares.h"
 
 namespace lacquer::fit {
 
 namespace {
 
-constexpr int grid_size = 20;               // neighbours differ by a factor of 1.32 (0.005 .. 1)
-constexpr double narrowest_grid_m = 0.005;  // 0.3 deg, below the footprint of any light of the rig
+constexpr int grid_size = 24;  // neighbours differ by a factor of 1.35 (0.001 .. 1)
 
 /// Columns: diffuse, then lobe(m, 1) and lobe(m, 0) for each m of the grid.
 constexpr int n_columns = 1 + 2 * grid_size;
@@ -23,20 +25,9 @@ using Columns = std::array<double, n_columns>;
 
 std::array<double, grid_size> m_grid(double min_m) {
   std::array<double, grid_size> grid;
-  const double first = std::log(std::max(min_m, narrowest_grid_m));
   for (int i = 0; i < grid_size; ++i)
-    grid[i] = std::exp(first * (1 - static_cast<double>(i) / (grid_size - 1)));
+    grid[i] = std::exp(std::log(min_m) * (1 - static_cast<double>(i) / (grid_size - 1)));
   return grid;
-}
-
-Columns columns(const brdf::HalfAngleCosines<double>& c, const std::array<double, grid_size>& grid) {
-  Columns values;
-  values[0] = std::numbers::inv_pi;
-  for (int i = 0; i < grid_size; ++i) {
-    values[1 + 2 * i] = brdf::CookTorranceLobe<double>{grid[i], 1}(c);
-    values[2 + 2 * i] = brdf::CookTorranceLobe<double>{grid[i], 0}(c);
-  }
-  return values;
 }
 
 /// Normal equations of one channel, weights 1 / sigma^2 of the value.
@@ -55,20 +46,27 @@ struct ChannelGram {
   }
 };
 
-std::size_t theta_h_row(const Point& p) {
-  return static_cast<std::size_t>(
-      brdf::TableGrid::cell(brdf::HalfDiff{std::acos(p.cosines.n_dot_h), 0, 0}).theta_h);
+std::size_t theta_h_row(const CellSet& set, std::size_t k) {
+  return static_cast<std::size_t>(brdf::TableGrid::cell(set.cell[k]).theta_h);
 }
 
-/// Lower quartile of the positive means of a channel per theta_h row, 0 where there is none: the level that
+/// The sets that see a channel, with its index there.
+std::vector<std::pair<const CellSet*, std::size_t>> sets_of_channel(const Observations& observations, int channel) {
+  std::vector<std::pair<const CellSet*, std::size_t>> sets;
+  for (const CellSet& set : observations.sets)
+    if (channel >= set.first_channel && channel < set.first_channel + set.n_channels)
+      sets.emplace_back(&set, static_cast<std::size_t>(channel - set.first_channel));
+  return sets;
+}
+
+/// Lower quartile of the positive values of a channel per theta_h row, 0 where there is none: the level that
 /// no sound value of the row falls far below.
 std::vector<double> row_levels(const Observations& observations, int channel) {
   std::vector<std::vector<float>> rows(brdf::TableGrid::n_theta_h);
-  for (const Point& p : observations.points)
-    for (std::uint32_t k = p.first; k < p.end; ++k) {
-      const Observation& o = observations.values[k];
-      if (o.channel == channel && o.mean > 0) rows[theta_h_row(p)].push_back(o.mean);
-    }
+  for (const auto& [set, c] : sets_of_channel(observations, channel))
+    for (std::size_t k = 0; k < set->size(); ++k)
+      if (set->channels[c].inverse_sigma[k] != 0 && set->channels[c].target[k] > 0)
+        rows[theta_h_row(*set, k)].push_back(set->channels[c].target[k]);
   std::vector<double> levels;
   for (auto& row : rows) {
     if (row.empty()) {
@@ -82,23 +80,41 @@ std::vector<double> row_levels(const Observations& observations, int channel) {
   return levels;
 }
 
-std::vector<ChannelGram> channel_grams(const Observations& observations,
-                                       const std::array<double, grid_size>& grid) {
-  std::vector<ChannelGram> grams(static_cast<std::size_t>(observations.n_channels));
-  std::vector<std::vector<double>> levels;
-  for (int c = 0; c < observations.n_channels; ++c) levels.push_back(row_levels(observations, c));
-
-  for (const Point& p : observations.points) {
-    const Columns row = columns(p.cosines, grid);
-    const std::size_t theta_h = theta_h_row(p);
-    for (std::uint32_t k = p.first; k < p.end; ++k) {
-      const Observation& o = observations.values[k];
-      // sigma of the value from sigma of its logarithm. A stray low value would get an enormous weight: not
-      // below a third of its row.
-      const double level = std::max(double{o.mean}, levels[o.channel][theta_h] / 3);
-      grams[o.channel].add(row, o.mean, o.logarithmic ? o.inverse_sigma / level : o.inverse_sigma);
-    }
+/// Values of lobe(m, r = 1) at all cells of a set, per m of the grid.
+std::vector<std::vector<double>> lobe_values(const CellSet& set, const std::array<double, grid_size>& grid) {
+  std::vector<std::vector<double>> values;
+  for (const double m : grid) {
+    std::array<std::vector<double>, 3> channels;
+    evaluate(set, 0, set.size(), {glm::dvec3(0), {{glm::dvec3(1), m, 1.0}}}, channels);
+    values.push_back(std::move(channels[0]));
   }
+  return values;
+}
+
+std::vector<ChannelGram> channel_grams(const Observations& observations, const std::array<double, grid_size>& grid) {
+  std::vector<ChannelGram> grams(static_cast<std::size_t>(observations.n_channels));
+  std::map<const CellSet*, std::vector<std::vector<double>>> lobes;
+  for (const CellSet& set : observations.sets) lobes[&set] = lobe_values(set, grid);
+  tbb::parallel_for(0, observations.n_channels, [&](int channel) {
+    const std::vector<double> levels = row_levels(observations, channel);
+    ChannelGram& gram = grams[static_cast<std::size_t>(channel)];
+    for (const auto& [set, c] : sets_of_channel(observations, channel)) {
+      const auto& values = lobes.at(set);
+      for (std::size_t k = 0; k < set->size(); ++k) {
+        const double inverse_sigma = set->channels[c].inverse_sigma[k], target = set->channels[c].target[k];
+        if (inverse_sigma == 0) continue;
+        Columns row;
+        row[0] = std::numbers::inv_pi;
+        for (std::size_t i = 0; i < grid_size; ++i) {
+          row[1 + 2 * i] = values[i][k];
+          row[2 + 2 * i] = values[i][k] * set->schlick_weight[k];
+        }
+        // sigma of the value from sigma of its logarithm. A stray low value would get an enormous weight: not below a third of its row.
+        const double level = std::max(target, levels[theta_h_row(*set, k)] / 3);
+        gram.add(row, target, inverse_sigma > 0 ? inverse_sigma / level : inverse_sigma);
+      }
+    }
+  });
   for (ChannelGram& g : grams)
     for (int i = 0; i < n_columns; ++i)
       for (int j = 0; j < i; ++j) g.gram[i][j] = g.gram[j][i];
@@ -108,12 +124,14 @@ std::vector<ChannelGram> channel_grams(const Observations& observations,
 /// Grid indices of the lobes, falling m first.
 using Choice = std::vector<int>;
 
+/// All of them up to 4 lobes, on every second m for more.
 std::vector<Choice> all_choices(int n_lobes) {
+  const int step = n_lobes > 4 ? 2 : 1;
   std::vector<Choice> choices{{}};
   for (int lobe = 0; lobe < n_lobes; ++lobe) {
     std::vector<Choice> longer;
     for (const Choice& choice : choices)
-      for (int i = (choice.empty() ? grid_size : choice.back()) - 1; i >= 0; --i) {
+      for (int i = choice.empty() ? grid_size - 1 : choice.back() - step; i >= 0; i -= step) {
         longer.push_back(choice);
         longer.back().push_back(i);
       }
@@ -157,6 +175,8 @@ brdf::CookTorrance model_of(const std::vector<ChannelGram>& grams, const Choice&
   return model;
 }
 
+constexpr std::size_t screened_per_start = 4;
+
 /// Two choices lead the solver to the same place when no lobe differs by more than one step of the grid.
 bool neighbours(const Choice& a, const Choice& b) {
   for (std::size_t l = 0; l < a.size(); ++l)
@@ -166,30 +186,45 @@ bool neighbours(const Choice& a, const Choice& b) {
 
 }  // namespace
 
-std::vector<brdf::CookTorrance> scan_for_starts(const Observations& observations, int n_lobes,
-                                                std::size_t count, double min_m) {
-  const auto grid = m_grid(min_m);
-  const std::vector<ChannelGram> grams = channel_grams(observations, grid);
-  const std::vector<Choice> choices = all_choices(n_lobes);
+struct Scan::Tables {
+  std::array<double, grid_size> grid;
+  std::vector<ChannelGram> grams;
+};
+
+Scan::Scan(const Observations& observations, double min_m)
+    : observations_(&observations), tables_(std::make_unique<Tables>(Tables{m_grid(min_m), {}})) {
+  tables_->grams = channel_grams(observations, tables_->grid);
+}
+
+Scan::~Scan() = default;
+
+std::vector<brdf::CookTorrance> Scan::starts(const Structure& structure, std::size_t count, const ObjectiveOptions& options) const {
+  const std::vector<Choice> choices = all_choices(structure.n_lobes);
   std::vector<double> cost(choices.size());
   tbb::parallel_for(std::size_t{0}, choices.size(), [&](std::size_t i) {
-    for (const ChannelGram& channel : grams)
-      cost[i] += channel.squared_mean - solve(channel, choices[i]).reduction;
+    for (const ChannelGram& channel : tables_->grams) cost[i] += channel.squared_mean - solve(channel, choices[i]).reduction;
   });
   std::vector<std::size_t> order(choices.size());
   for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
-  std::stable_sort(order.begin(), order.end(),
-                   [&](std::size_t a, std::size_t b) { return cost[a] < cost[b]; });
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return cost[a] < cost[b]; });
 
   std::vector<Choice> chosen;
   for (const std::size_t i : order) {
-    if (chosen.size() == count) break;
+    if (chosen.size() == screened_per_start * count) break;
     const auto near = [&](const Choice& other) { return neighbours(choices[i], other); };
     if (std::none_of(chosen.begin(), chosen.end(), near)) chosen.push_back(choices[i]);
   }
-  std::vector<brdf::CookTorrance> starts;
-  for (const Choice& choice : chosen) starts.push_back(model_of(grams, choice, grid));
-  return starts;
+  // The scan's sum of squares stands for the objective but is not it: the objective has the last word.
+  const Objective objective(*observations_, ParameterLayout(observations_->n_channels, structure), options);
+  std::vector<std::pair<double, brdf::CookTorrance>> starts(chosen.size());
+  tbb::parallel_for(std::size_t{0}, chosen.size(), [&](std::size_t i) {
+    starts[i].second = model_of(tables_->grams, chosen[i], tables_->grid);
+    starts[i].first = objective.cost(objective.layout().pack(starts[i].second));
+  });
+  std::stable_sort(starts.begin(), starts.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  std::vector<brdf::CookTorrance> best;
+  for (std::size_t i = 0; i < std::min(count, starts.size()); ++i) best.push_back(starts[i].second);
+  return best;
 }
 
 }  // namespace lacquer::fit

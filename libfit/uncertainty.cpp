@@ -19,11 +19,11 @@ constexpr double null_share = 1e-6;
 std::vector<int> live_parameters(const ParameterLayout& layout, const std::vector<double>& x,
                                  const Quadratic& q) {
   std::vector<bool> live(x.size(), true);
-  for (int l = 0; l < layout.n_lobes; ++l) {
+  for (int l = 0; l < layout.n_lobes(); ++l) {
     bool off = true;
-    for (int c = 0; c < layout.n_channels; ++c) off &= x[layout.ks(l, c)] <= 0;
+    for (int c = 0; c < layout.n_channels(); ++c) off &= x[layout.ks(l, c)] <= 0;
     if (!off) continue;
-    for (int c = 0; c < layout.n_channels; ++c) live[layout.ks(l, c)] = false;
+    for (int c = 0; c < layout.n_channels(); ++c) live[layout.ks(l, c)] = false;
     live[layout.log_m(l)] = live[layout.r(l)] = false;
   }
   std::vector<int> indices;
@@ -31,49 +31,6 @@ std::vector<int> live_parameters(const ParameterLayout& layout, const std::vecto
   for (int k = 0; k < n; ++k)
     if (live[k] && q.curvature[k * n + k] > 0) indices.push_back(k);
   return indices;
-}
-
-/// Groups of points that may share an error.
-enum class Grouping { theta_h_row, theta_d_column };
-
-std::size_t group_of(const Point& p, Grouping grouping) {
-  const brdf::TableGrid::Cell cell =
-      brdf::TableGrid::cell(brdf::HalfDiff{std::acos(std::min(1.0, p.cosines.n_dot_h)),
-                                           std::acos(std::min(1.0, p.cosines.i_dot_h)), 0});
-  return static_cast<std::size_t>(grouping == Grouping::theta_h_row ? cell.theta_h : cell.theta_d);
-}
-
-/// Sum over the groups of g g^T, row-major, with g the group's part of the gradient less the mean part: the
-/// covariance of the gradient if errors within a group may depend on each other and those of two groups do not.
-std::vector<double> grouped_scatter(const Objective& objective, const std::vector<double>& x, Grouping grouping) {
-  const Observations& all = objective.observations();
-  std::vector<Observations> groups(brdf::TableGrid::n_theta_h);
-  for (const Point& p : all.points) {
-    Observations& group = groups[group_of(p, grouping)];
-    group.n_channels = all.n_channels;
-    const auto first = static_cast<std::uint32_t>(group.values.size());
-    group.values.insert(group.values.end(), all.values.begin() + p.first, all.values.begin() + p.end);
-    group.points.push_back({p.cosines, first, static_cast<std::uint32_t>(group.values.size())});
-  }
-  std::erase_if(groups, [](const Observations& g) { return g.points.empty(); });
-  const std::size_t n = x.size();
-  std::vector<double> scatter(n * n);
-  if (groups.size() < 10) return scatter;  // too few to tell
-
-  ObjectiveOptions options = objective.options();
-  options.energy_weight = 0;
-  std::vector<std::vector<double>> gradients;
-  std::vector<double> mean(n);
-  const auto n_groups = static_cast<double>(groups.size());
-  for (const Observations& group : groups) {
-    gradients.push_back(Objective(group, objective.layout(), options).quadratic(x).gradient);
-    for (std::size_t i = 0; i < n; ++i) mean[i] += gradients.back()[i] / n_groups;
-  }
-  for (const auto& g : gradients)
-    for (std::size_t i = 0; i < n; ++i)
-      for (std::size_t j = 0; j < n; ++j)
-        scatter[i * n + j] += (g[i] - mean[i]) * (g[j] - mean[j]) * n_groups / (n_groups - 1);
-  return scatter;
 }
 
 struct Inverse {
@@ -111,30 +68,83 @@ Inverse invert(const Quadratic& q, int n, const std::vector<int>& live) {
   return result;
 }
 
-}  // namespace
+/// What the rows or columns of the table say about the variance of a parameter.
+struct Clusters {
+  double variance = 0;            ///< if errors within a group may depend on each other and those of two groups do not; 0: cannot tell
+  double degrees_of_freedom = 0;  ///< of `variance`, Satterthwaite's
+};
 
-namespace {
+/// Variance that the groups' gradients give to each live parameter; `covariance`: of the live parameters.
+std::vector<Clusters> clusters(const std::vector<Quadratic>& groups, const std::vector<int>& live, const std::vector<double>& covariance) {
+  std::vector<Clusters> result(live.size());
+  if (groups.size() < 10) return result;  // too few to tell
+  const std::size_t size = live.size(), n = groups.front().gradient.size();
+  const auto n_groups = static_cast<double>(groups.size());
+  for (std::size_t i = 0; i < size; ++i) {
+    const double* row = &covariance[i * size];
+    // Steps of the parameter that each group asks for, and their variances if its values were independent.
+    std::vector<double> steps;
+    double mean = 0, expected = 0, expected2 = 0;
+    for (const Quadratic& g : groups) {
+      double step = 0, variance = 0;
+      for (std::size_t j = 0; j < size; ++j) {
+        step += row[j] * g.gradient[live[j]];
+        for (std::size_t k = 0; k < size; ++k) variance += row[j] * g.curvature[static_cast<std::size_t>(live[j]) * n + live[k]] * row[k];
+      }
+      steps.push_back(step);
+      mean += step / n_groups;
+      expected += variance;
+      expected2 += variance * variance;
+    }
+    for (const double step : steps) result[i].variance += (step - mean) * (step - mean) * n_groups / (n_groups - 1);
+    result[i].degrees_of_freedom = expected2 > 0 ? expected * expected / expected2 : 0;
+  }
+  return result;
+}
+
+/// chi^2 / degrees of freedom that chance exceeds once in 741 times (3 sigma), Wilson and Hilferty 1931.
+double chance_limit(double degrees_of_freedom) {
+  const double a = 2 / (9 * std::max(degrees_of_freedom, 0.5));
+  return std::pow(1 - a + 3 * std::sqrt(a), 3);
+}
+
+double reduced_chi2(const Quadratic& q, std::size_t n_values, std::size_t n_parameters) {
+  return q.cost / static_cast<double>(std::max<std::size_t>(1, n_values - std::min(n_values, n_parameters)));
+}
 
 /// Factor on each live parameter's sigma, see uncertainty.h.
-std::vector<double> sigma_factors(const Objective& objective, const std::vector<double>& x, double reduced_chi2,
-                                  const std::vector<int>& live, const std::vector<double>& covariance) {
-  const std::size_t size = live.size(), n = x.size();
-  std::vector<double> factors(size, std::sqrt(std::max(1.0, reduced_chi2)));
-  for (const Grouping grouping : {Grouping::theta_h_row, Grouping::theta_d_column}) {
-    const std::vector<double> scatter = grouped_scatter(objective, x, grouping);
+std::vector<double> sigma_factors(const GroupedQuadratics& q, std::size_t n_values, double reduced, const std::vector<int>& live,
+                                  const std::vector<double>& covariance) {
+  const std::size_t size = live.size();
+  std::vector<double> factors(size, reduced > chance_limit(static_cast<double>(n_values)) ? std::sqrt(reduced) : 1.0);
+  for (const auto* groups : {&q.theta_h_rows, &q.theta_d_columns}) {
+    const std::vector<Clusters> found = clusters(*groups, live, covariance);
     for (std::size_t i = 0; i < size; ++i) {
-      const double* row = &covariance[i * size];
-      double sandwich = 0;
-      for (std::size_t j = 0; j < size; ++j)
-        for (std::size_t k = 0; k < size; ++k)
-          sandwich += row[j] * scatter[static_cast<std::size_t>(live[j]) * n + static_cast<std::size_t>(live[k])] * row[k];
-      if (row[i] > 0) factors[i] = std::max(factors[i], std::sqrt(std::max(0.0, sandwich) / row[i]));
+      if (!(covariance[i * size + i] > 0)) continue;
+      const double ratio = found[i].variance / covariance[i * size + i];
+      if (ratio > chance_limit(found[i].degrees_of_freedom)) factors[i] = std::max(factors[i], std::sqrt(ratio));
     }
   }
   return factors;
 }
 
 }  // namespace
+
+double overdispersion(const ParameterLayout& layout, const std::vector<double>& x, const GroupedQuadratics& q, std::size_t n_values) {
+  const std::vector<int> live = live_parameters(layout, x, q.all);
+  const Inverse inverse = invert(q.all, layout.size(), live);
+  double factor = std::max(1.0, reduced_chi2(q.all, n_values, x.size()));
+  for (const auto* groups : {&q.theta_h_rows, &q.theta_d_columns}) {
+    const std::vector<Clusters> found = clusters(*groups, live, inverse.covariance);
+    double sum = 0;
+    for (std::size_t i = 0; i < live.size(); ++i) {
+      const double variance = inverse.covariance[i * live.size() + i];
+      if (variance > 0) sum += found[i].variance / variance;
+    }
+    if (!live.empty()) factor = std::max(factor, sum / static_cast<double>(live.size()));
+  }
+  return factor;
+}
 
 Eigensystem symmetric_eigensystem(std::vector<double> a, int n) {
   std::vector<double> v(a.size(), 0.0);
@@ -176,14 +186,11 @@ Eigensystem symmetric_eigensystem(std::vector<double> a, int n) {
   return result;
 }
 
-void add_uncertainty(const Objective& objective, const std::vector<double>& x, double min_m,
-                     FitResult& result) {
-  const ParameterLayout& layout = objective.layout();
+void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x, const GroupedQuadratics& quadratics,
+                     std::size_t n_values, double min_m, FitResult& result) {
   const int n = layout.size();
-  const Quadratic q = objective.quadratic(x);
-  const std::size_t n_values = objective.observations().values.size();
-  result.reduced_chi2 =
-      q.cost / static_cast<double>(std::max<std::size_t>(1, n_values - std::min(n_values, x.size())));
+  const Quadratic& q = quadratics.all;
+  result.reduced_chi2 = reduced_chi2(q, n_values, x.size());
 
   const std::vector<double> lower = layout.lower_bounds(min_m), upper = layout.upper_bounds();
   const std::vector<std::string> names = layout.names();
@@ -195,14 +202,14 @@ void add_uncertainty(const Objective& objective, const std::vector<double>& x, d
                                  .value = x[k],
                                  .at_bound = x[k] <= lower[k] || x[k] >= upper[k],
                                  .determined = false});
-  for (int l = 0; l < layout.n_lobes; ++l) {
+  for (int l = 0; l < layout.n_lobes(); ++l) {
     const int log_m = layout.log_m(l);
     result.parameters[log_m].value = to_public[log_m] = std::exp(x[log_m]);
     is_shape[log_m] = is_shape[layout.r(l)] = true;
   }
   const std::vector<int> live = live_parameters(layout, x, q);
   const Inverse inverse = invert(q, n, live);
-  const std::vector<double> factors = sigma_factors(objective, x, result.reduced_chi2, live, inverse.covariance);
+  const std::vector<double> factors = sigma_factors(quadratics, n_values, result.reduced_chi2, live, inverse.covariance);
   std::vector<int> sound;  // positions in `live`
   for (std::size_t i = 0; i < live.size(); ++i) {
     const double sigma = std::sqrt(inverse.covariance[i * live.size() + i]) * factors[i];  // of ln(m) for m
@@ -212,10 +219,10 @@ void add_uncertainty(const Objective& objective, const std::vector<double>& x, d
     sound.push_back(static_cast<int>(i));
   }
   // A lobe that is off is known to be off; its shape is not known.
-  for (int l = 0; l < layout.n_lobes; ++l) {
+  for (int l = 0; l < layout.n_lobes(); ++l) {
     bool off = true;
-    for (int c = 0; c < layout.n_channels; ++c) off &= x[layout.ks(l, c)] <= 0;
-    for (int c = 0; off && c < layout.n_channels; ++c) result.parameters[layout.ks(l, c)].determined = true;
+    for (int c = 0; c < layout.n_channels(); ++c) off &= x[layout.ks(l, c)] <= 0;
+    for (int c = 0; off && c < layout.n_channels(); ++c) result.parameters[layout.ks(l, c)].determined = true;
   }
   result.covariance.assign(x.size() * x.size(), 0.0);
   for (const int i : sound)

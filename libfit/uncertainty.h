@@ -7,18 +7,22 @@
 
 namespace lacquer::fit {
 
-/// Fills parameters, covariance and reduced_chi2 of `result` at `x`, the solution.
+/// Fills parameters, covariance and reduced_chi2 of `result` at `x`, the solution, from the quadratics there.
 ///
-/// Covariance: inverse of the Gauss-Newton matrix, each parameter's sigma raised where the residuals show that
-/// it is too small: by reduced chi^2 > 1 (scatter larger than the stated errors), or by residuals that agree with
-/// each other within a theta_h row or a theta_d column (errors of model, discretisation, single lights), which the
-/// cluster-robust sandwich of Liang and Zeger 1986 measures. Not determined, with sigma 0: a parameter that
-/// takes part in a direction along which the objective does not change, m known worse than its own size, r
-/// known worse than its range. ks, m, r of a lobe that is off (all its ks at 0) are left out; other
-/// parameters at a bound keep the sigma of the curvature, so that a physical limit does not make what is
+/// Covariance: inverse of the Gauss-Newton matrix, each parameter's sigma raised where the residuals show that it is too small: by
+/// reduced chi^2 > 1 (scatter larger than the stated errors), or by residuals that agree with each other within a theta_h row or a
+/// theta_d column (errors of model, discretisation, single lights), which the cluster-robust sandwich of Liang and Zeger 1986 measures.
+/// Raised only where the excess is more than chance: a parameter that few rows determine has a sandwich that scatters by itself, as
+/// chi^2 with Satterthwaite's degrees of freedom. Not determined, with sigma 0: a parameter that takes part in a direction along which
+/// the objective does not change, m known worse than its own size, r known worse than its range. ks, m, r of a lobe that is off (all its
+/// ks at 0) are left out; other parameters at a bound keep the sigma of the curvature, so that a physical limit does not make what is
 /// correlated with them look certain.
-void add_uncertainty(const Objective& objective, const std::vector<double>& x, double min_m,
-                     FitResult& result);
+void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x, const GroupedQuadratics& quadratics,
+                     std::size_t n_values, double min_m, FitResult& result);
+
+/// Factor >= 1 by which the objective's differences overstate what the data says: reduced chi^2, or the mean over the parameters of the
+/// sandwich's variance beside the Gauss-Newton matrix's, whichever is largest.
+double overdispersion(const ParameterLayout& layout, const std::vector<double>& x, const GroupedQuadratics& q, std::size_t n_values);
 
 /// Eigenvalues (ascending) and eigenvectors (row k belongs to value k) of a symmetric row-major matrix, by
 /// Jacobi's rotations.

@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 
 #include <memory>
+#include <optional>
 
 #include "libbrdf/brdf.h"
 #include "libbrdf/table.h"
@@ -19,10 +20,10 @@ struct Options {
   fit::FitOptions fit;
 };
 
-/// A table as it is; any other BRDF at the centres of the table's cells.
-brdf::HalfAngleTable table_of(const brdf::Brdf& input, double min_cosine) {
+/// A table as it is, without a copy (it is large); any other BRDF at the centres of the table's cells, put into `storage`.
+const brdf::HalfAngleTable& table_of(const brdf::Brdf& input, double min_cosine, std::optional<brdf::HalfAngleTable>& storage) {
   if (const auto* table = dynamic_cast<const brdf::TableBrdf*>(&input)) return table->table();
-  return brdf::tabulate_brdf(input, min_cosine);
+  return storage.emplace(brdf::tabulate_brdf(input, min_cosine));
 }
 
 std::string one_line(const brdf::CookTorrance& model) {
@@ -30,6 +31,14 @@ std::string one_line(const brdf::CookTorrance& model) {
   for (const auto& lobe : model.lobes)
     text += fmt::format("{}m {:.4g} r {:.3g}", text.empty() ? "" : ", ", lobe.m, lobe.r);
   return text.empty() ? "diffuse only" : text;
+}
+
+std::string candidate_table(const fit::FitResult& fit) {
+  std::string text = fmt::format("\n{:<36} {:>10} {:>10} {:>6} {:>12}\n", "candidate", "mean |ln|", "parameters", "ns", "criterion");
+  for (const fit::Candidate& c : fit.candidates)
+    text += fmt::format("{:<36} {:>10.4g} {:>10} {:>6.2f} {:>+12.4g}\n", c.structure, c.mean_abs_log, c.n_parameters, c.evaluation_ns,
+                        c.criterion);
+  return text + "\n";
 }
 
 std::string to_text(const Options& options, const brdf::Brdf& input, const fit::FitResult& fit) {
@@ -46,9 +55,9 @@ std::string to_text(const Options& options, const brdf::Brdf& input, const fit::
   text += fmt::format(
       "left out     {} grazing, {} not positive, {} not finite, {} not measured (cells times channels)\n",
       out.grazing, out.not_positive, out.not_finite, out.not_measured);
-  for (std::size_t i = 0; i < fit.candidates.size(); ++i)
-    text += fmt::format("minimum {}    cost {:.6g}: {}\n", i + 1, fit.candidates[i].cost,
-                        one_line(fit.candidates[i].model));
+  for (std::size_t i = 0; i < fit.minima.size(); ++i)
+    text += fmt::format("minimum {}    cost {:.6g}: {}\n", i + 1, fit.minima[i].cost, one_line(fit.minima[i].model));
+  text += candidate_table(fit);
   text += fmt::format("solver       {}{}\n", fit.converged ? "" : "DID NOT CONVERGE: ", fit.message);
   text += fmt::format("time         {:.2f} s\n", fit.seconds);
   if (!options.output.empty()) text += fmt::format("fit          {}\n", options.output);
@@ -64,7 +73,7 @@ void add_fit(CLI::App& app, Context& context) {
       app.add_subcommand("fit", "table -> multi-lobe Cook-Torrance parameters with standard errors");
   command->add_option("TABLE", options->input, "table.exr, MERL .binary, RGL .bsdf or a model")->required();
   command->add_option("-o,--output", options->output, "fit.json to write");
-  command->add_option("--lobes", o.n_lobes, "number of lobes, 0 to 5")->capture_default_str();
+  command->add_option("--lobes", o.n_lobes, "number of lobes, 0 to 5; not given: the structure that the data supports");
   command->add_option("--max-cells", o.max_cells, "cells used, spread over the table")->capture_default_str();
   command->add_option("--starts", o.n_starts, "starts that are refined")->capture_default_str();
   command
@@ -82,8 +91,10 @@ void add_fit(CLI::App& app, Context& context) {
     options->fit.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);
     options->fit.validate();
     const auto input = brdf::load_brdf(options->input);
-    const brdf::HalfAngleTable table = table_of(*input, options->fit.min_cosine);
-    const fit::FitResult fit = fit::fit_table(table, options->fit, stderr_progress(context));
+    std::optional<brdf::HalfAngleTable> storage;
+    const brdf::HalfAngleTable& table = table_of(*input, options->fit.min_cosine, storage);
+    fit::FitResult fit = fit::fit_table(table, options->fit, stderr_progress(context));
+    fit::add_evaluation_costs(fit);
     const std::string provenance = provenance_json(context, {options->input});
     if (!options->output.empty()) fit::write_fit(options->output, fit, table.absolute_scale, provenance);
     if (options->json)

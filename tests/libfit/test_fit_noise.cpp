@@ -10,7 +10,7 @@ namespace {
 TEST(Noise, FivePercentOnFortyThousandCellsRecoversEveryParameterWithinOnePercentAndFourSigma) {
   const brdf::CookTorrance truth = paint("ford-f8");
   const brdf::HalfAngleTable table = with_noise(table_of(truth, 13), 0.05, 0, 1);
-  const fit::FitResult fit = fit::fit_table(table, {.max_cells = 40000, .model_sigma = 1e-3});
+  const fit::FitResult fit = fit::fit_table(table, {.n_lobes = 3, .max_cells = 40000, .model_sigma = 1e-3});
   EXPECT_TRUE(fit.converged) << fit.message;
   EXPECT_LE(fit.n_cells, 40000u);
   EXPECT_GE(fit.n_cells, 39000u);
@@ -38,7 +38,7 @@ TEST(Noise, ReportedErrorsMatchTheScatterOfManyRepeats) {
   for (unsigned seed = 1; seed <= repeats; ++seed) {
     // 3 % and a floor of a third of the diffuse part: many cells away from the highlight drown in noise.
     const fit::FitResult fit =
-        fit::fit_table(with_noise(clean, 0.03, 1e-4, seed), {.n_starts = 2, .model_sigma = 1e-4});
+        fit::fit_table(with_noise(clean, 0.03, 1e-4, seed), {.n_lobes = 3, .n_starts = 2, .model_sigma = 1e-4});
     for (std::size_t k = 0; k < expected.size(); ++k) {
       const fit::Parameter& p = fit.parameters[k];
       ASSERT_TRUE(p.determined && !p.at_bound) << p.name;
@@ -61,7 +61,7 @@ TEST(Noise, AFifthOfOutliersMovesNothingByMoreThanAFewPercent) {
   for (auto& channel : table.channels)
     for (std::size_t i = 0; i < channel.mean.size(); ++i)
       if (generator() % 5 == 0) channel.mean[i] *= generator() % 2 ? 30.0f : 0.02f;
-  const fit::FitResult fit = fit::fit_table(table, {.max_cells = 20000});
+  const fit::FitResult fit = fit::fit_table(table, {.n_lobes = 3, .max_cells = 20000});
   EXPECT_LE(mean_abs_log(fit.model, truth), 0.03);
   for (std::size_t l = 0; l < 3; ++l)
     EXPECT_NEAR(fit.model.lobes[l].m, truth.lobes[l].m, 0.05 * truth.lobes[l].m);
@@ -84,7 +84,7 @@ TEST(Noise, AThirdLobeOnAPaintOfOneLobeStaysSane) {
   brdf::CookTorrance truth = diffuse({0.1, 0.2, 0.3});
   truth.lobes = {{.ks = {0.05, 0.05, 0.05}, .m = 0.2, .r = 0.3}};
   const brdf::HalfAngleTable table = with_noise(table_of(truth), 0.03, 0, 6);
-  const fit::FitResult fit = fit::fit_table(table, {.max_cells = 10000});
+  const fit::FitResult fit = fit::fit_table(table, {.n_lobes = 3, .max_cells = 10000});
   EXPECT_LE(mean_abs_log(fit.model, truth),
             0.01);  // 0.03 / sqrt(10000 / 18) = 0.0013, with room for correlated parameters
   for (const fit::Parameter& p : fit.parameters) {

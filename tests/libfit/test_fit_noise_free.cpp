@@ -11,7 +11,7 @@ namespace {
 /// Relative error of a float cell value is 6e-8 at most; 1e-5 leaves room for the sum of everything and still
 /// says which parameters the data determines: sigma is then what an error of 1e-5 per cell does to the
 /// parameter.
-fit::FitOptions noise_free() { return {.max_cells = 30000, .model_sigma = 1e-5}; }
+fit::FitOptions noise_free() { return {.n_lobes = 3, .max_cells = 30000, .model_sigma = 1e-5}; }
 
 class NoiseFreePaint : public testing::TestWithParam<std::string> {};
 
