@@ -59,28 +59,38 @@ void check_enough(const Observations& observations, const LeftOut& out, const Pa
           out.not_measured));
 }
 
-/// Distinct minima of the subset for each structure, best first. Starts are refined side by side.
-std::vector<std::vector<Minimum>> find_minima(const Observations& subset, const std::vector<Structure>& structures,
+/// Distinct minima of the subset for each structure, best first. Starts are refined side by side; the subset's weights are then those of
+/// the best model found.
+std::vector<std::vector<Minimum>> find_minima(Observations& subset, double model_sigma, const std::vector<Structure>& structures,
                                               const ObjectiveOptions& objective_options, const FitOptions& options) {
   struct Task {
     std::size_t structure;
-    brdf::CookTorrance start;
-    Minimum minimum{};
+    Minimum minimum;
   };
-  const Scan scan(subset, options.min_m);
+  weigh(subset, model_sigma);
   std::vector<Task> tasks;
-  for (std::size_t s = 0; s < structures.size(); ++s)
-    for (auto& start : scan.starts(structures[s], static_cast<std::size_t>(options.n_starts), objective_options))
-      tasks.push_back({s, std::move(start)});
-  tbb::parallel_for(std::size_t{0}, tasks.size(), [&](std::size_t i) {
-    const ParameterLayout layout(subset.n_channels, structures[tasks[i].structure]);
-    const Objective objective(subset, layout, objective_options);
-    const Solution solution = minimise(
-        objective, layout.pack(tasks[i].start),
-        {.min_m = options.min_m, .max_iterations = options.max_iterations, .function_tolerance = 1e-8});
-    tasks[i].minimum = {sorted_by_falling_m(layout.unpack(solution.x)), solution.cost / static_cast<double>(subset.n_values)};
-  });
-  std::stable_sort(tasks.begin(), tasks.end(), [](const Task& a, const Task& b) { return a.minimum.cost < b.minimum.cost; });
+  {
+    const Scan scan(subset, options.min_m);
+    for (std::size_t s = 0; s < structures.size(); ++s)
+      for (auto& start : scan.starts(structures[s], static_cast<std::size_t>(options.n_starts), objective_options))
+        tasks.push_back({s, {std::move(start)}});
+  }
+  // Weights taken from the noisy values themselves bias the model, so they only bring it near.
+  for (const double damping : {1e-4, 0.0}) {
+    tbb::parallel_for(std::size_t{0}, tasks.size(), [&](std::size_t i) {
+      const ParameterLayout layout(subset.n_channels, structures[tasks[i].structure]);
+      const Objective objective(subset, layout, objective_options);
+      const Solution solution = minimise(objective, layout.pack(tasks[i].minimum.model),
+                                         {.min_m = options.min_m,
+                                          .max_iterations = options.max_iterations,
+                                          .function_tolerance = 1e-8,
+                                          .insignificant = 1e-3,
+                                          .damping = damping});
+      tasks[i].minimum = {sorted_by_falling_m(layout.unpack(solution.x)), solution.cost / static_cast<double>(subset.n_values)};
+    });
+    std::stable_sort(tasks.begin(), tasks.end(), [](const Task& a, const Task& b) { return a.minimum.cost < b.minimum.cost; });
+    if (damping > 0) weigh(subset, model_sigma, &tasks.front().minimum.model);
+  }
   std::vector<std::vector<Minimum>> distinct(structures.size());
   for (const Task& task : tasks) {
     std::vector<Minimum>& minima = distinct[task.structure];
@@ -105,6 +115,10 @@ void add_scale_error(double scale_sigma, FitResult& result) {
     if (scales(i)) result.parameters[i].sigma = std::sqrt(result.covariance[i * n + i]);
 }
 
+/// SolverOptions::insignificant of the result, and where structures are only compared: 0.01 is nothing beside what a parameter must gain,
+/// and spares hundreds of steps along the valleys of a structure that has too much.
+constexpr double exact = 1e-6, compared = 0.01;
+
 SolverOptions refinement(const FitOptions& options, double insignificant) {
   return {.min_m = options.min_m,
           .max_iterations = options.max_iterations,
@@ -121,9 +135,9 @@ struct Refined {
 
 /// `start`: minimum of the subset. Sets the weights of `all`.
 Refined refine(Observations& all, const ParameterLayout& layout, const brdf::CookTorrance& start, const ObjectiveOptions& objective_options,
-               const FitOptions& options) {
+               const FitOptions& options, double last_insignificant) {
   Refined refined{.solution = {}, .model = start};
-  for (const double insignificant : {1.0, 1e-6}) {  // the first weights are not worth more than a sigma
+  for (const double insignificant : {1.0, last_insignificant}) {  // the first weights are not worth more than a sigma
     weigh(all, options.model_sigma, &refined.model);
     const Objective objective(all, layout, objective_options);
     refined.solution = minimise(objective, layout.pack(refined.model), refinement(options, insignificant));
@@ -131,6 +145,14 @@ Refined refine(Observations& all, const ParameterLayout& layout, const brdf::Coo
     refined.solution.x = layout.pack(refined.model);
   }
   return refined;
+}
+
+/// Brings the winner from where it could be compared to where its parameters are exact.
+void polish(const Observations& all, const ObjectiveOptions& objective_options, const FitOptions& options, Trial& trial) {
+  const Objective objective(all, ParameterLayout(all.n_channels, trial.structure), objective_options);
+  trial.solution = minimise(objective, objective.layout().pack(trial.model), refinement(options, exact));
+  trial.model = objective.layout().unpack(trial.solution.x);
+  sort_by_falling_m(trial);
 }
 
 std::vector<Candidate> candidates_of(const std::vector<Trial>& trials, const Observations& all) {
@@ -168,24 +190,23 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
     structures.pop_back();
   check_enough(all, usable.left_out, ParameterLayout(n_channels, structures.back()));
   Observations subset = observe(table, stratified_choice(usable, std::min(options.max_cells, subset_cells)));
-  weigh(subset, std::max(options.model_sigma, subset_sigma));
   step_done(1);
-  const auto minima = find_minima(subset, structures, objective_options, options);
+  const auto minima = find_minima(subset, std::max(options.model_sigma, subset_sigma), structures, objective_options, options);
   step_done(2);
 
   const ParameterLayout richest(n_channels, structures.back());
-  const Refined refined = refine(all, richest, minima.back().front().model, objective_options, options);
+  const Refined refined = refine(all, richest, minima.back().front().model, objective_options, options,
+                                 options.n_lobes ? exact : compared);
   step_done(3);
   std::vector<Trial> trials;
   for (std::size_t s = 0; s < structures.size(); ++s) trials.push_back({structures[s], minima[s].front().model, {}});
-  GroupedQuadratics quadratics;
   if (options.n_lobes) {
     trials = {{structures.back(), refined.model, refined.solution}};
   } else {
-    Selection selection(subset, all, objective_options, refinement(options, 1e-6));
+    Selection selection(subset, all, objective_options, refinement(options, compared));
     trials = selection.choose(trials, refined.solution);
     result.overdispersion = selection.overdispersion();
-    if (trials.front().structure == structures.back()) quadratics = selection.quadratics();
+    polish(all, objective_options, options, trials.front());
   }
 
   const Trial& chosen = trials.front();
@@ -201,7 +222,7 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   const glm::dvec3 albedo = normal_incidence_albedo(result.model);
   result.energy = std::max({albedo.x, albedo.y, albedo.z});
   const std::vector<double> x = layout.pack(result.model);
-  if (quadratics.all.gradient.empty()) quadratics = grouped_quadratics(Objective(all, layout, objective_options), x);
+  const GroupedQuadratics quadratics = grouped_quadratics(Objective(all, layout, objective_options), x);
   add_uncertainty(layout, x, quadratics, all.n_values, options.min_m, result);
   add_scale_error(table.scale_sigma, result);
   const LogErrors errors = log_errors(all, result.model);

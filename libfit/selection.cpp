@@ -83,8 +83,8 @@ std::vector<Trial> Selection::simplified(const Trial& trial) const {
 std::vector<Trial> Selection::choose(const std::vector<Trial>& by_lobes, const Solution& richest) {
   const Structure& full = by_lobes.back().structure;
   const Objective richest_objective = objective(all_, full);
-  quadratics_ = grouped_quadratics(richest_objective, richest.x);
-  overdispersion_ = fit::overdispersion(richest_objective.layout(), richest.x, quadratics_, all_.n_values);
+  overdispersion_ =
+      fit::overdispersion(richest_objective.layout(), richest.x, grouped_quadratics(richest_objective, richest.x), all_.n_values);
   std::vector<Trial> trials;
   for (const Trial& from : by_lobes) {
     Trial trial = from;
@@ -97,8 +97,11 @@ std::vector<Trial> Selection::choose(const std::vector<Trial>& by_lobes, const S
       trial.solution = {.x = objective.layout().pack(from.model)};
       trial.solution.cost = objective.cost(trial.solution.x);
       const int saved = n_parameters(all_.n_channels, full) - objective.layout().size();
-      // Refined, a model of the subset gains little: what is worse by far stays so.
-      if ((trial.solution.cost - richest.cost) / overdispersion_ < hopeless * penalty(saved)) trial = refined(from.structure, from.model);
+      // A model of the subset is off by its errors, which cost about its parameters' number times the cells per cell of the subset. What
+      // is worse by far stays so.
+      const double share = static_cast<double>(all_.n_values) / static_cast<double>(subset_.n_values);
+      const double loss = (trial.solution.cost - richest.cost) / overdispersion_;
+      if (loss < hopeless * (penalty(saved) + share * objective.layout().size())) trial = refined(from.structure, from.model);
     }
     trial.criterion = criterion(trial.solution.cost, trial.structure);
     trials.push_back(std::move(trial));

@@ -34,8 +34,6 @@ class Selection {
   std::vector<Trial> choose(const std::vector<Trial>& by_lobes, const Solution& richest);
 
   double overdispersion() const { return overdispersion_; }
-  /// Of the richest trial's solution.
-  const GroupedQuadratics& quadratics() const { return quadratics_; }
 
  private:
   Objective objective(const Observations& observations, const Structure& structure) const {
@@ -52,7 +50,6 @@ class Selection {
   ObjectiveOptions objective_;
   SolverOptions solver_;
   double overdispersion_ = 1;
-  GroupedQuadratics quadratics_;
 };
 
 /// E.g. "2 lobes, lobe 2 grey, no diffuse part".
