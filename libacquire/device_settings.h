@@ -15,6 +15,7 @@ struct TicSettings {
   int full_steps_per_turn = 200;      ///< of the motor
   int microsteps = 8;                 ///< per full step: 1, 2, 4 ... 256; what the controller model offers
   double gear_ratio = 1;              ///< motor turns per turn of the table
+  std::optional<double> current_limit_a = {};  ///< of a coil; the controller's own steps, never above; nullopt: as set in the controller
   bool reversed = false;              ///< forward steps turn the table against the rig's right-handed sense
   double max_speed = 0.5;             ///< rad/s
   double max_acceleration = 0.5;      ///< rad/s^2, also for braking

@@ -74,17 +74,17 @@ void FrameWriter::run() {
 }
 
 void FrameWriter::process(Item& item) {
-  bool hand_over;
+  bool hand_over, recorded = true;
   {
     const std::lock_guard lock(mutex_);
     hand_over = !abandoned_;
     if (view_.frames.empty()) {
       view_ = std::move(begun_.front().first);
-      const bool recorded = begun_.front().second;
+      recorded = begun_.front().second;
       begun_.pop_front();
-      if (!recorded) journal_.view(item.view, view_.turntable_angle, view_.bracket);
     }
   }
+  if (!recorded) journal_.view(item.view, view_.turntable_angle, view_.bracket);
   if (item.on_disk) {
     if (hand_over && sink_.frame) item.frame = read_session_frame(session_, item.record);
   } else {

@@ -42,6 +42,7 @@ void read_turntable_device(const TomlTable& t, RigDescription& rig) {
   s.full_steps_per_turn = static_cast<int>(t.integer("full_steps_per_turn", 1, 100000, s.full_steps_per_turn));
   s.microsteps = static_cast<int>(t.integer("microsteps", 1, 256, s.microsteps));
   s.gear_ratio = t.number("gear_ratio", {1e-3, 1e5}, s.gear_ratio);
+  if (t.has("current_limit_ma")) s.current_limit_a = t.number("current_limit_ma", Range::above(0, 10000)) * 1e-3;
   s.reversed = t.boolean("reversed", s.reversed);
   s.max_speed = t.number("max_speed_deg_per_s", Range::above(0, 36000), 20) * radians_per_degree;
   s.max_acceleration = t.number("max_acceleration_deg_per_s2", Range::above(0, 360000), 20) * radians_per_degree;
@@ -89,7 +90,7 @@ void read_devices(const TomlTable& root, RigDescription& rig) {
     return *table;
   };
   read_camera_device(part("camera", {"back_end", "id", "pixel_format", "offset_px", "gain", "packet_size", "timeout_s", "fixed_exposure_ms", "settle_frames"}), rig);
-  read_turntable_device(part("turntable", {"back_end", "serial", "full_steps_per_turn", "microsteps", "gear_ratio", "reversed", "max_speed_deg_per_s",
+  read_turntable_device(part("turntable", {"back_end", "serial", "full_steps_per_turn", "microsteps", "gear_ratio", "current_limit_ma", "reversed", "max_speed_deg_per_s",
                                            "max_acceleration_deg_per_s2", "backlash_deg", "min_deg", "max_deg", "home", "home_angle_deg", "home_timeout_s", "settle_ms"}),
                         rig);
   read_lights_device(part("lights", {"back_end", "settle_ms", "chip", "lines"}), rig);

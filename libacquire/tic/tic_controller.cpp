@@ -32,6 +32,7 @@ TicStatus TicController::read_status(std::uint8_t request) const {
   s.velocity = static_cast<std::int32_t>(at(0x26, 4));
   s.supply_v = at(0x33, 2) * 1e-3;
   s.step_mode = bytes.at(0x49);
+  s.current_limit_code = bytes.at(0x4A);
   return s;
 }
 

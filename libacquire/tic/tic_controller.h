@@ -23,6 +23,7 @@ struct TicStatus {
   std::int32_t velocity = 0;          ///< microsteps per 10 000 s
   double supply_v = 0;
   std::uint8_t step_mode = 0;
+  std::uint8_t current_limit_code = 0;  ///< tic_current.h
 };
 
 namespace tic_error {
@@ -54,12 +55,14 @@ class TicController {
   void set_max_acceleration(std::int32_t microsteps_per_100_s2) { word(0xEA, microsteps_per_100_s2); }
   void set_max_deceleration(std::int32_t microsteps_per_100_s2) { word(0xE9, microsteps_per_100_s2); }
   void set_step_mode(std::uint8_t mode) { usb_->control_out(0x94, mode, 0); }
+  void set_current_limit(std::uint8_t code) { usb_->control_out(0x91, code, 0); }
   void go_home(bool forward) { usb_->control_out(0x97, forward ? 1 : 0, 0); }
 
   TicStatus status() const { return read_status(0xA1); }
   TicStatus status_and_clear_errors_occurred() const { return read_status(0xA2); }
   /// A byte of the settings that Pololu's Tic Control Center writes.
   std::uint8_t setting(std::uint8_t offset) const { return usb_->control_in(0xA8, 0, offset, 1).at(0); }
+  std::string product() const { return usb_->product(); }
   std::string name() const { return usb_->name(); }
 
  private:

@@ -7,6 +7,7 @@
 #include <cstdlib>
 #include <utility>
 
+#include "libacquire/tic/tic_current.h"
 #include "libbrdf/error.h"
 
 namespace lacquer::acquire {
@@ -72,8 +73,21 @@ void TicTurntable::check_controller_settings() {
                                                "switch it off with Pololu's Tic Control Center", tic_.name()));
 }
 
+void TicTurntable::set_up_current() {
+  if (!settings_.current_limit_a) return;
+  const auto code = tic_current_code(tic_.product(), *settings_.current_limit_a);
+  if (!code)
+    throw Error(ErrorCode::usage, fmt::format("{}: devices.turntable.current_limit_ma: this controller has no current of {:g} mA or less but 0", tic_.name(),
+                                              *settings_.current_limit_a * 1e3));
+  tic_.set_current_limit(*code);
+  if (const int actual = tic_.status().current_limit_code; actual != *code)
+    throw Error(ErrorCode::device, fmt::format("{}: devices.turntable.current_limit_ma: asked for code {} ({:g} mA), read back code {}", tic_.name(), *code,
+                                               *tic_current(tic_.product(), *code) * 1e3, actual));
+}
+
 void TicTurntable::set_up_motion() {
   tic_.clear_driver_error();
+  set_up_current();
   const double speed = settings_.max_speed * steps_per_radian_ * speed_unit;
   if (!(speed >= 1 && speed <= max_speed_units))
     throw Error(ErrorCode::usage, fmt::format("{}: devices.turntable.max_speed_deg_per_s: {:g} microsteps per second; the controller does 1e-4 to 50000",

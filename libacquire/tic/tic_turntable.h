@@ -31,6 +31,7 @@ class TicTurntable final : public Turntable {
 
   void check_controller_settings();
   void set_up_motion();
+  void set_up_current();
   void start_motor();
   void travel_to(std::int32_t target);
   void check_while_moving(const TicStatus& status, std::int32_t target);

@@ -66,7 +66,8 @@ std::string serial_of(libusb_device_handle* handle, const libusb_device_descript
 
 class UsbTic final : public ControlTransfers {
  public:
-  UsbTic(std::unique_ptr<Usb> usb, Handle handle, std::string name) : usb_(std::move(usb)), handle_(std::move(handle)), name_(std::move(name)) {}
+  UsbTic(std::unique_ptr<Usb> usb, Handle handle, std::string product, const std::string& serial)
+      : usb_(std::move(usb)), handle_(std::move(handle)), product_(std::move(product)), name_(fmt::format("Tic {} {}", product_, serial)) {}
 
   void control_out(std::uint8_t request, std::uint16_t value, std::uint16_t index) override {
     check(libusb_control_transfer(handle_.get(), 0x40, request, value, index, nullptr, 0, timeout_ms), request, 0);
@@ -76,6 +77,7 @@ class UsbTic final : public ControlTransfers {
     check(libusb_control_transfer(handle_.get(), 0xC0, request, value, index, data.data(), length, timeout_ms), request, length);
     return data;
   }
+  std::string product() const override { return product_; }
   std::string name() const override { return name_; }
 
  private:
@@ -91,7 +93,7 @@ class UsbTic final : public ControlTransfers {
 
   std::unique_ptr<Usb> usb_;  // outlives handle_
   Handle handle_;
-  std::string name_;
+  std::string product_, name_;
 };
 
 }  // namespace
@@ -115,13 +117,13 @@ std::vector<FoundTic> find_usb_tics() {
 std::unique_ptr<ControlTransfers> open_usb_tic(const std::string& serial) {
   auto usb = std::make_unique<Usb>();
   Handle handle;
-  std::string name, others, problem;
+  std::string product, serial_number, others, problem;
   int n_tics = 0, n_matching = 0;
-  usb->for_each_tic([&](libusb_device* device, const libusb_device_descriptor& d, const char* product) {
+  usb->for_each_tic([&](libusb_device* device, const libusb_device_descriptor& d, const char* its_product) {
     ++n_tics;
     libusb_device_handle* raw = nullptr;
     if (const int error = libusb_open(device, &raw); error != 0) {
-      problem = fmt::format("a Tic {} cannot be opened: {} (udev rule: rigs/99-lacquer.rules)", product, libusb_strerror(static_cast<libusb_error>(error)));
+      problem = fmt::format("a Tic {} cannot be opened: {} (udev rule: rigs/99-lacquer.rules)", its_product, libusb_strerror(static_cast<libusb_error>(error)));
       return;
     }
     Handle opened(raw);
@@ -130,9 +132,10 @@ std::unique_ptr<ControlTransfers> open_usb_tic(const std::string& serial) {
     if (!serial.empty() && its_serial != serial) return;
     ++n_matching;
     handle = std::move(opened);
-    name = fmt::format("Tic {} {}", product, its_serial);
+    product = its_product;
+    serial_number = its_serial;
   });
-  if (n_matching == 1) return std::make_unique<UsbTic>(std::move(usb), std::move(handle), std::move(name));
+  if (n_matching == 1) return std::make_unique<UsbTic>(std::move(usb), std::move(handle), std::move(product), serial_number);
   handle.reset();  // before its session
   if (n_matching > 1)
     throw Error(ErrorCode::device, fmt::format("{} Tics are connected ({}); devices.turntable.serial must say which", n_matching, others));

@@ -6,6 +6,7 @@
 #include "conformance/expect_error.h"
 #include "conformance/tic_model.h"
 #include "conformance/turned_clock.h"
+#include "libacquire/tic/tic_current.h"
 #include "libacquire/tic/tic_turntable.h"
 
 namespace lacquer::test {
@@ -253,6 +254,25 @@ TEST_F(Tic, StepModeThatTheControllerDoesNotHaveIsRefused) {
   expect_error(ErrorCode::usage, "does not do 1/64 steps", [&] { open(); });
   settings.microsteps = 5;
   expect_error(ErrorCode::usage, "microsteps: expected 1, 2, 4", [&] { open(); });
+}
+
+// Values of the tables in the Tic user's guide.
+TEST_F(Tic, CurrentLimitIsTheNearestBelowAndReadBack) {
+  open();
+  EXPECT_EQ(model->current_limit(), 6) << "nothing said: as it was set in the controller";
+  settings.current_limit_a = 1.0;
+  open();
+  EXPECT_EQ(model->current_limit(), 31) << "992 mA";
+  model->set_highest_current_limit(20);
+  expect_error(ErrorCode::device, "current_limit_ma: asked for code 31 (992 mA), read back code 20", [&] { open(); });
+  settings.current_limit_a = 0.01;
+  expect_error(ErrorCode::usage, "has no current of 10 mA or less but 0", [&] { open(); });
+  EXPECT_EQ(acquire::tic_current_code("T825", 2.2), 68) << "2176 mA; in steps of four codes up there";
+  EXPECT_EQ(acquire::tic_current_code("T834", 9), 108) << "3456 mA are its most";
+  EXPECT_EQ(acquire::tic_current_code("T249", 1.5), 36) << "1440 mA; 37 does not exist";
+  EXPECT_EQ(acquire::tic_current_code("T500", 1.2), 10) << "1189 mA";
+  EXPECT_NEAR(*acquire::tic_current("36v4", 56), 4.010, 5e-4);
+  EXPECT_EQ(acquire::tic_current_code("T1000", 1), std::nullopt);
 }
 
 TEST_F(Tic, ImpossibleMotionIsRefused) {

@@ -135,6 +135,7 @@ bool TicModel::command(std::uint8_t request, std::uint16_t value, std::uint16_t 
     case 0xE5: starting_speed_ = static_cast<std::uint32_t>(word); return true;
     case 0xEA: max_acceleration_ = static_cast<std::uint32_t>(word); return true;
     case 0xE9: max_deceleration_ = static_cast<std::uint32_t>(word); return true;
+    case 0x91: current_limit_ = static_cast<std::uint8_t>(std::min<unsigned>(value, highest_current_limit_)); return true;
     case 0x94: if (value <= highest_step_mode_) step_mode_ = static_cast<std::uint8_t>(value); return true;
     default: return false;
   }
@@ -159,6 +160,7 @@ std::vector<std::uint8_t> TicModel::variables() {
   put(0x26, static_cast<std::uint32_t>(static_cast<std::int32_t>(std::llround(velocity_ * 1e4))), 4);
   put(0x33, static_cast<std::uint32_t>(std::llround(supply_v_ * 1e3)), 2);
   put(0x49, step_mode_, 1);
+  put(0x4A, current_limit_, 1);
   return v;
 }
 

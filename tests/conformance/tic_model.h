@@ -36,6 +36,8 @@ class TicModel {
   void power_cycle();                      ///< the controller forgets its position
   void set_setting(std::uint8_t offset, std::uint8_t value);
   void set_highest_step_mode(std::uint8_t mode) { highest_step_mode_ = mode; }
+  void set_highest_current_limit(std::uint8_t code) { highest_current_limit_ = code; }
+  std::uint8_t current_limit() const { return current_limit_; }
   /// "e0 v=fed4 i=ffff" for every OUT transfer, in order.
   std::vector<std::string> out_log();
   double highest_speed() const { return highest_speed_; }                ///< microsteps/s ever run
@@ -62,7 +64,7 @@ class TicModel {
   bool energise_wanted_ = true, uncertain_ = true, safe_start_ = true, timed_out_ = false;
   bool driver_error_ = false, kill_switch_ = false, jammed_ = false, home_forward_ = false, no_switch_ = false;
   double supply_v_ = 12, reverse_limit_ = -1e9, forward_limit_ = 1e9;
-  std::uint8_t step_mode_ = 0, highest_step_mode_ = 5;
+  std::uint8_t step_mode_ = 0, highest_step_mode_ = 5, current_limit_ = 6, highest_current_limit_ = 124;
   std::uint32_t errors_occurred_ = 0;
   std::vector<std::uint8_t> settings_;
   std::vector<std::string> log_;
@@ -81,6 +83,7 @@ class ModelTransfers final : public acquire::ControlTransfers {
   ModelTransfers(std::shared_ptr<TicModel> model, std::shared_ptr<Faults> faults) : model_(std::move(model)), faults_(std::move(faults)) {}
   void control_out(std::uint8_t request, std::uint16_t value, std::uint16_t index) override;
   std::vector<std::uint8_t> control_in(std::uint8_t request, std::uint16_t value, std::uint16_t index, std::uint16_t length) override;
+  std::string product() const override { return "T825"; }
   std::string name() const override { return "Tic T825 00123456"; }
 
  private:
