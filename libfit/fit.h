@@ -37,7 +37,7 @@ struct Parameter {
                      ///< one-channel table
   double value = 0;
   double sigma = 0;  ///< from the covariance, 0 where not determined and for ks of a lobe that is off
-  bool at_bound = false;
+  bool at_bound = false;  ///< or nearer to it than a tenth of sigma
   bool determined = true;
 };
 

@@ -216,6 +216,9 @@ void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x
     if (!inverse.determined[i] || (is_shape[live[i]] && sigma > 1)) continue;
     result.parameters[live[i]].determined = true;
     result.parameters[live[i]].sigma = sigma * to_public[live[i]];
+    // So near that the difference means nothing.
+    const double margin = 0.1 * sigma;
+    result.parameters[live[i]].at_bound |= x[live[i]] - lower[live[i]] < margin || upper[live[i]] - x[live[i]] < margin;
     sound.push_back(static_cast<int>(i));
   }
   // A lobe that is off is known to be off; its shape is not known.

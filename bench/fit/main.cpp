@@ -1,0 +1,188 @@
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <sys/resource.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <random>
+
+#include "libbrdf/brdf.h"
+#include "libbrdf/files.h"
+#include "libbrdf/table.h"
+#include "libfit/fit.h"
+#include "libfit/observations.h"
+#include "tools/plot.h"
+
+/// Speed against error of the fit, beside SciPy on the same cells; which structure is chosen at which noise; how often error bars cover.
+namespace {
+
+using namespace lacquer;
+
+constexpr double noise = 0.05;
+const std::vector<std::string> paint_names{"ford-f8", "polaris-silber", "opel-titan", "bmw-339", "2k-acrylack", "white", "blue", "blue-matte"};
+
+brdf::CookTorrance paint(const std::string& name) {
+  return brdf::read_model(std::filesystem::path(LACQUER_SOURCE_DIR) / "data-samples" / "paints" / (name + ".json"));
+}
+
+brdf::HalfAngleTable table_of(const brdf::CookTorrance& model) { return brdf::tabulate_brdf(brdf::CookTorranceBrdf(model), 0.0); }
+
+/// Adds `clean`'s values and relative Gaussian noise to `table`, with its true variance.
+void set_noisy(const brdf::HalfAngleTable& clean, double relative, std::uint64_t seed, brdf::HalfAngleTable& table) {
+  std::mt19937_64 generator(seed);
+  std::normal_distribution<double> normal;
+  for (std::size_t c = 0; c < table.channels.size(); ++c)
+    for (std::size_t i = 0; i < brdf::TableGrid::n_cells; ++i) {
+      if (clean.channels[c].origin[i] != brdf::CellOrigin::measured) continue;
+      const double mean = clean.channels[c].mean[i], sigma = relative * mean;
+      table.channels[c].variance[i] = static_cast<float>(sigma * sigma);
+      table.channels[c].mean[i] = static_cast<float>(mean + sigma * normal(generator));
+    }
+}
+
+/// Parameters in the order of FitResult::parameters.
+std::vector<double> values_of(const brdf::CookTorrance& model) {
+  std::vector<double> values{model.kd.x, model.kd.y, model.kd.z};
+  for (const auto& lobe : model.lobes) values.insert(values.end(), {lobe.ks.x, lobe.ks.y, lobe.ks.z});
+  for (const auto& lobe : model.lobes) values.insert(values.end(), {lobe.m, lobe.r});
+  return values;
+}
+
+double largest_error(const std::vector<double>& x, const std::vector<double>& truth) {
+  double largest = 0;
+  for (std::size_t k = 0; k < truth.size(); ++k) largest = std::max(largest, std::abs(x[k] / truth[k] - 1));
+  return largest;
+}
+
+double peak_memory_mb() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_maxrss) / 1024;
+}
+
+struct SciPy {
+  double seconds = std::nan(""), error = std::nan("");
+};
+
+/// SciPy on the cells that a fit with `max_cells` uses, from a start 20 % off the truth; NaN: no answer in time.
+SciPy scipy(const brdf::HalfAngleTable& table, std::size_t max_cells, const brdf::CookTorrance& truth, const std::filesystem::path& folder,
+            int limit_s) {
+  fit::Observations o = fit::observe(table, fit::stratified_choice(fit::usable_cells(table, {}), max_cells));
+  const fit::CellSet& set = o.sets.front();
+  std::vector<double> rows;
+  for (std::size_t k = 0; k < set.size(); ++k) {
+    rows.insert(rows.end(), {set.tan2_theta_h[k], set.schlick_weight[k], set.front[k]});
+    for (const auto& channel : table.channels) rows.push_back(std::max(channel.mean[set.cell[k]], 1e-6f));
+    rows.insert(rows.end(), {noise, 0});
+  }
+  std::vector<double> start = values_of(truth);
+  for (std::size_t k = 0; k < start.size(); ++k) start[k] *= k % 2 ? 0.8 : 1.2;
+  for (std::size_t k = 12; k < 18; k += 2) start[k] = std::log(start[k]);
+  const auto cells = folder / "cells.f64", start_file = folder / "start.json", answer = folder / "answer.json";
+  std::ofstream(cells, std::ios::binary).write(reinterpret_cast<const char*>(rows.data()), static_cast<std::streamsize>(rows.size() * sizeof(double)));
+  std::ofstream(start_file) << nlohmann::json(start).dump();
+  const std::string command = fmt::format("python3 '{}/bench/fit/scipy_fit.py' '{}' '{}' {} > '{}' 2> /dev/null", LACQUER_SOURCE_DIR,
+                                          cells.string(), start_file.string(), limit_s, answer.string());
+  if (std::system(command.c_str()) != 0) return {};
+  const auto j = nlohmann::json::parse(std::ifstream(answer));
+  return {j.at("seconds"), largest_error(j.at("x").get<std::vector<double>>(), values_of(truth))};
+}
+
+void speed(const std::filesystem::path& folder, const std::string& plot, int limit_s, bool smoke) {
+  std::filesystem::create_directories(folder);
+  const brdf::CookTorrance truth = paint("ford-f8");
+  const brdf::HalfAngleTable clean = table_of(truth);
+  brdf::HalfAngleTable table = clean;
+  set_noisy(clean, noise, 1, table);
+  fmt::print("cells   ours s (three lobes)  with selection s  largest parameter error %   SciPy s  largest error %\n");
+  std::vector<std::vector<double>> columns(6);
+  const std::vector<std::size_t> sizes = smoke ? std::vector<std::size_t>{1000} : std::vector<std::size_t>{1000, 3000, 10000, 40000, 100000, 300000, 1000000};
+  for (const std::size_t n : sizes) {
+    double forced = 1e9, selected = 1e9, error = 0;
+    for (int repeat = 0; repeat < 3; ++repeat) {
+      const fit::FitResult fit = fit::fit_table(table, {.n_lobes = 3, .max_cells = n, .model_sigma = 1e-3});
+      forced = std::min(forced, fit.seconds);
+      error = largest_error(values_of(fit.model), values_of(truth));
+      selected = std::min(selected, fit::fit_table(table, {.max_cells = n, .model_sigma = 1e-3}).seconds);
+    }
+    const SciPy peer = scipy(table, n, truth, folder, limit_s);
+    fmt::print("{:7}  {:8.3f}  {:8.3f}  {:8.3f}   {:8.3f}  {:8.3f}\n", n, forced, selected, 100 * error, peer.seconds, 100 * peer.error);
+    const double row[] = {static_cast<double>(n), forced, selected, 100 * error, peer.seconds, 100 * peer.error};
+    for (std::size_t k = 0; k < 6; ++k) columns[k].push_back(row[k]);
+  }
+  fmt::print("peak memory {:.0f} MB, of which two tables {:.0f} MB\n", peak_memory_mb(), 2 * 3 * 37.0 * brdf::TableGrid::n_cells / 1048576);
+  if (plot.empty()) return;
+  tools::gnuplot(tools::plot_data("d", columns) +
+                     "set logscale xy\nset format x '10^{%L}'\nset key left top\nset xlabel 'cells'\n"
+                     "set ylabel 'seconds; largest error of a parameter, %'\n"
+                     "plot $d u 1:2 w lp lw 2 lc rgb blue t 'seconds, three lobes', '' u 1:3 w lp lw 2 lc rgb sky t 'seconds, structure chosen', "
+                     "'' u 1:5 w lp lw 2 lc rgb vermilion t 'seconds, SciPy', '' u 1:4 w lp dt 2 lc rgb blue t 'error', "
+                     "'' u 1:6 w lp dt 2 lc rgb vermilion t 'error, SciPy'\n",
+                 plot);
+}
+
+void selection(std::size_t max_cells) {
+  fmt::print("paint            noise %  chosen                     next best (criterion)\n");
+  for (const double relative : {0.01, 0.05})
+    for (const std::string& name : paint_names) {
+      const brdf::HalfAngleTable clean = table_of(paint(name));
+      brdf::HalfAngleTable table = clean;
+      set_noisy(clean, relative, 1, table);
+      const fit::FitResult fit = fit::fit_table(table, {.max_cells = max_cells});
+      fmt::print("{:<16} {:6g}  {:<26} {} ({:+.4g})   {:.2f} s\n", name, 100 * relative, fit.candidates[0].structure, fit.candidates[1].structure,
+                 fit.candidates[1].criterion, fit.seconds);
+    }
+}
+
+void coverage(int repeats, std::size_t max_cells) {
+  const brdf::CookTorrance truth = paint("ford-f8");  // no parameter at a bound
+  const brdf::HalfAngleTable clean = table_of(truth);
+  brdf::HalfAngleTable table = clean;
+  const std::vector<double> expected = values_of(truth);
+  std::vector<int> one(expected.size()), two(expected.size());
+  std::vector<double> largest;
+  std::string names;
+  for (int seed = 1; seed <= repeats; ++seed) {
+    set_noisy(clean, noise, static_cast<std::uint64_t>(seed), table);
+    const fit::FitResult fit = fit::fit_table(table, {.n_lobes = 3, .n_starts = 2, .max_cells = max_cells, .model_sigma = 1e-4});
+    for (std::size_t k = 0; k < expected.size(); ++k) {
+      const double pull = std::abs(fit.parameters[k].value - expected[k]) / fit.parameters[k].sigma;
+      one[k] += pull < 0.994458;  // 68 %
+      two[k] += pull < 1.959964;  // 95 %
+    }
+    largest.push_back(largest_error(values_of(fit.model), expected));
+  }
+  const fit::FitResult last = fit::fit_table(table, {.n_lobes = 3, .n_starts = 2, .max_cells = max_cells, .model_sigma = 1e-4});
+  fmt::print("parameter  inside 68 %  inside 95 %   ({} repeats)\n", repeats);
+  double sum1 = 0, sum2 = 0;
+  for (std::size_t k = 0; k < expected.size(); ++k) {
+    fmt::print("{:<10} {:8.1f}  {:8.1f}\n", last.parameters[k].name, 100.0 * one[k] / repeats, 100.0 * two[k] / repeats);
+    sum1 += one[k], sum2 += two[k];
+  }
+  const double n = static_cast<double>(repeats) * static_cast<double>(expected.size());
+  std::sort(largest.begin(), largest.end());
+  fmt::print("all        {:8.1f}  {:8.1f}\nlargest error of a parameter: median {:.2f} %, worst repeat {:.2f} %\n", 100 * sum1 / n, 100 * sum2 / n,
+             100 * largest[largest.size() / 2], 100 * largest.back());
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("bench_fit");
+  bool smoke = false;
+  int repeats = 300, limit_s = 120;
+  std::string folder = "bench-fit", plot;
+  app.add_flag("--smoke", smoke, "small and quick: only that it runs");
+  app.add_option("--repeats", repeats, "of the coverage")->capture_default_str();
+  app.add_option("--scipy-limit-s", limit_s, "SciPy is stopped after this time")->capture_default_str();
+  app.add_option("--folder", folder, "for temporary files")->capture_default_str();
+  app.add_option("--plot", plot, "SVG or PNG of time and error");
+  CLI11_PARSE(app, argc, argv);
+  speed(folder, plot, limit_s, smoke);
+  if (smoke) return coverage(2, 1000), 0;
+  selection(brdf::TableGrid::n_cells);
+  coverage(repeats, 40000);
+}
