@@ -258,7 +258,9 @@ TEST_F(SessionTest, FramesKnowWhenTheyWereTaken) {
   EXPECT_LT(last, 60) << "seconds since the capture began, not since the computer was started";
   ViewRecord view;
   EXPECT_FALSE(view.time_s()) << "no frames";
-  view.frames = {{.file = {}, .exposure_s = 0.5, .time_s = 10}, {.file = {}, .exposure_s = 2, .time_s = 11}};
+  view.frames.resize(2);
+  view.frames[0].exposure_s = 0.5, view.frames[0].time_s = 10;
+  view.frames[1].exposure_s = 2, view.frames[1].time_s = 11;
   EXPECT_DOUBLE_EQ(*view.time_s(), (10.25 + 12) / 2) << "the middle of the exposures";
   view.frames[1].time_s.reset();
   EXPECT_FALSE(view.time_s());
