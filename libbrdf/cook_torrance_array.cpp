@@ -21,7 +21,8 @@ float leading(float x) { return std::bit_cast<float>(std::bit_cast<std::uint32_t
 
 /// A lobe as the loop needs it.
 struct FlatLobe {
-  float ks[3];        ///< ks / (pi m^2)
+  float strength;     ///< largest ks / (pi m^2)
+  float ks[3];        ///< of the largest one
   float r;
   float rate, rate_leading, rate_rest;  ///< log2(e) / m^2, rounded and in two parts
 };
@@ -31,7 +32,9 @@ std::vector<FlatLobe> flat_lobes(const CookTorrance& model) {
   for (const auto& lobe : model.lobes) {
     FlatLobe flat;
     const double inverse_m2 = 1 / (lobe.m * lobe.m), rate = std::numbers::log2e * inverse_m2;
-    for (int c = 0; c < 3; ++c) flat.ks[c] = static_cast<float>(lobe.ks[c] * std::numbers::inv_pi * inverse_m2);
+    const double largest = std::max({lobe.ks.x, lobe.ks.y, lobe.ks.z});
+    flat.strength = static_cast<float>(largest * std::numbers::inv_pi * inverse_m2);
+    for (int c = 0; c < 3; ++c) flat.ks[c] = largest > 0 ? static_cast<float>(lobe.ks[c] / largest) : 0;
     flat.r = static_cast<float>(lobe.r);
     flat.rate = static_cast<float>(rate);
     flat.rate_leading = leading(flat.rate);
@@ -41,7 +44,7 @@ std::vector<FlatLobe> flat_lobes(const CookTorrance& model) {
   return lobes;
 }
 
-/// x 2^n for whole n in [-300, 0], in two steps so that a large x brings a small factor back.
+/// x 2^n for whole n in [-252, 0], in two steps so that a large x brings a small factor back.
 LACQUER_ALWAYS_INLINE Float8 scaled(Float8 x, Float8 n) {
   constexpr float magic = 12582912.0f;  // 1.5 * 2^23, see exp of vector_math.h
   const Float8 shifted_half = n * splat(0.5f) + splat(magic), half = shifted_half - splat(magic), rest = n - half;
@@ -49,15 +52,16 @@ LACQUER_ALWAYS_INLINE Float8 scaled(Float8 x, Float8 n) {
   return (x * (Float8)first) * (Float8)second;
 }
 
-/// ks-free lobe times pi m^2: F G / ((n.wi)(n.wo) cos^4) exp(-tan^2/m^2). The exponent in units of ln 2 is q = tan^2 rate, whose whole
+/// Lobe of the channel with the largest ks: strength F G / ((n.wi)(n.wo) cos^4) exp(-tan^2/m^2); scaled down last, so that only a result
+/// that is tiny itself underflows. The exponent in units of ln 2 is q = tan^2 rate, whose whole
 /// part n may be hundreds: only the exact product of the leading parts leaves a fraction that is right to the last bits of a float.
 LACQUER_ALWAYS_INLINE Float8 lobe_value(const FlatLobe& lobe, Float8 tan2, Float8 tan2_leading, Float8 schlick, Float8 front) {
   constexpr float magic = 12582912.0f;
-  const Float8 q = minimum(tan2 * splat(lobe.rate), splat(290.0f));
+  const Float8 q = minimum(tan2 * splat(lobe.rate), splat(250.0f));
   const Float8 n = (q + splat(magic)) - splat(magic);
   const Float8 exact = tan2_leading * splat(lobe.rate_leading);
   const Float8 fraction = (exact - n) + (tan2_leading * splat(lobe.rate_rest) + (tan2 - tan2_leading) * splat(lobe.rate));
-  const Int32x8 vanishes = q >= splat(290.0f);
+  const Int32x8 vanishes = q >= splat(250.0f);
   // 2^-fraction, |fraction| <= 0.5: Taylor in ln 2 * fraction to the 6th power, relative error 1.2e-7.
   const Float8 x = fraction * splat(-0.693147180559945f);
   Float8 p = splat(1.0f / 720);
@@ -68,7 +72,7 @@ LACQUER_ALWAYS_INLINE Float8 lobe_value(const FlatLobe& lobe, Float8 tan2, Float
   p = p * x + splat(1.0f);
   p = p * x + splat(1.0f);
   const Float8 fresnel = splat(lobe.r) * (splat(1.0f) - schlick) + schlick;
-  const Float8 value = scaled(fresnel * front * p, -n);
+  const Float8 value = scaled(fresnel * front * (p * splat(lobe.strength)), -n);
   return (Float8)((Int32x8)value & ~vanishes);
 }
 

@@ -122,7 +122,7 @@ constexpr double exact = 1e-6, compared = 0.01;
 SolverOptions refinement(const FitOptions& options, double insignificant) {
   return {.min_m = options.min_m,
           .max_iterations = options.max_iterations,
-          .function_tolerance = 0,
+          .function_tolerance = 1e-4 * insignificant,  // ends the creeping along valleys where the model does not fit the paint
           .insignificant = insignificant,
           .damping = 0};
 }

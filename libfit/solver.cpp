@@ -126,7 +126,16 @@ Solution minimise(const Objective& objective, std::vector<double> start, const S
     solution.message = message;
     return solution;
   };
+  // A model that does not fit the paint may have a bent valley (ks r constant, r near 0) in which every step is short: after this many
+  // trials that together gained next to nothing, going on is not worth it.
+  constexpr int patience = 10;
+  constexpr double creeping = 1e-5;
+  double cost_before = q.cost;
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
+    if (iteration > 0 && iteration % patience == 0) {
+      if (cost_before - q.cost < creeping * q.cost) return finish(true, "The last steps gained next to nothing");
+      cost_before = q.cost;
+    }
     Step step;
     if (!BoundedStep(q, solution.x, lower, upper).step(damping, step) || step.gain < 0) {
       // The Hessian is no bowl here; Gauss-Newton's matrix always is but for rounding.

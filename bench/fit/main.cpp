@@ -84,7 +84,7 @@ SciPy scipy(const brdf::HalfAngleTable& table, std::size_t max_cells, const brdf
   const auto cells = folder / "cells.f64", start_file = folder / "start.json", answer = folder / "answer.json";
   std::ofstream(cells, std::ios::binary).write(reinterpret_cast<const char*>(rows.data()), static_cast<std::streamsize>(rows.size() * sizeof(double)));
   std::ofstream(start_file) << nlohmann::json(start).dump();
-  const std::string command = fmt::format("python3 '{}/bench/fit/scipy_fit.py' '{}' '{}' {} > '{}' 2> /dev/null", LACQUER_SOURCE_DIR,
+  const std::string command = fmt::format("/usr/bin/python3 '{}/bench/fit/scipy_fit.py' '{}' '{}' {} > '{}' 2> /dev/null", LACQUER_SOURCE_DIR,
                                           cells.string(), start_file.string(), limit_s, answer.string());
   if (std::system(command.c_str()) != 0) return {};
   const auto j = nlohmann::json::parse(std::ifstream(answer));
