@@ -38,7 +38,7 @@ Json covariance(const FitResult& fit, bool scaled) {
     Json row = Json::array();
     for (std::size_t j = 0; j < n; ++j) {
       const double sigmas = fit.parameters[i].sigma * fit.parameters[j].sigma;
-      row.push_back(!scaled ? fit.covariance[i * n + j] : sigmas > 0 ? fit.covariance[i * n + j] / sigmas : 0.0);
+      row.push_back(!scaled ? fit.covariance[i * n + j] : i == j && sigmas > 0 ? 1.0 : sigmas > 0 ? fit.covariance[i * n + j] / sigmas : 0.0);
     }
     rows.push_back(std::move(row));
   }
