@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
@@ -113,6 +115,7 @@ void speed(const std::filesystem::path& folder, const std::string& plot, int lim
     const double row[] = {static_cast<double>(n), forced, selected, 100 * error, peer.seconds, 100 * peer.error};
     for (std::size_t k = 0; k < 6; ++k) columns[k].push_back(row[k]);
   }
+  std::fflush(stdout);
   fmt::print("peak memory {:.0f} MB, of which two tables {:.0f} MB\n", peak_memory_mb(), 2 * 3 * 37.0 * brdf::TableGrid::n_cells / 1048576);
   if (plot.empty()) return;
   tools::gnuplot(tools::plot_data("d", columns) +
