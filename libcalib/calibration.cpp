@@ -82,6 +82,10 @@ void write_calibration(const std::filesystem::path& file, const Calibration& c, 
   if (!c.dark_source.empty()) j["noise"]["darks"] = c.dark_source;
   j["geometry"] = geometry_to_json(c.geometry);
   j["geometry"]["source"] = c.geometry_source;
+  if (!c.geometry_uncertainty.parameters.empty()) {
+    j["geometry"]["turntable_scale"] = c.turntable_scale;
+    j["geometry"]["estimate"] = uncertainty_to_json(c.geometry_uncertainty);
+  }
   j["scale"] = {{"source", c.scale_source},
                 {"absolute", c.absolute_scale},
                 {"dn_per_radiance", vector_to_json(c.dn_per_radiance)},
@@ -119,6 +123,10 @@ Calibration read_calibration(const std::filesystem::path& file) {
   const JsonReader geometry = root.object("geometry");
   c.geometry = geometry_from_json(geometry);
   c.geometry_source = geometry.text("source");
+  if (geometry.has("estimate")) {
+    c.turntable_scale = geometry.number("turntable_scale", 0.5, 2);
+    c.geometry_uncertainty = uncertainty_from_json(geometry.object("estimate"));
+  }
 
   const JsonReader scale = root.object("scale");
   c.scale_source = scale.text("source");

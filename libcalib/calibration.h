@@ -8,6 +8,7 @@
 #include "libacquire/rig_geometry.h"
 #include "libacquire/session.h"
 #include "libcalib/drift.h"
+#include "libcalib/geometry_estimate.h"
 #include "libcalib/merge.h"
 #include "libcalib/response.h"
 #include "libcalib/sensor_maps.h"
@@ -25,6 +26,8 @@ struct Calibration {
   std::string dark_source;            ///< what the dark views of the session said, in words; empty: none were taken
   acquire::RigGeometry geometry;      ///< lens, sphere, turntable axis, lights
   std::string geometry_source;
+  double turntable_scale = 1;         ///< true angle = this * angle read back
+  GeometryUncertainty geometry_uncertainty;  ///< empty: taken over from the rig file, not estimated
   glm::dvec3 dn_per_radiance{1.0};    ///< linearised DN per second of a radiance of 1 W m^-2 sr^-1, per channel
   bool absolute_scale = true;
   std::string scale_source;

@@ -130,7 +130,7 @@ std::vector<std::size_t> views_to_picture(const acquire::Session& session, const
   std::vector<std::size_t> lit, chosen;
   for (const std::size_t i : session.views_of(acquire::ViewKind::measurement)) {
     const auto& view = session.views[i];
-    const auto light = calibration.geometry.place_light(static_cast<std::size_t>(view.light), view.turntable_angle);
+    const auto light = calibration.geometry.place_light(static_cast<std::size_t>(view.light), calibration.turntable_scale * view.turntable_angle);
     const glm::dvec3 towards = light.distant ? light.direction : glm::normalize(light.position);
     if (glm::dot(towards, glm::normalize(camera)) > -0.35) lit.push_back(i);  // up to 110 degrees from the camera
   }

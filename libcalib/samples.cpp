@@ -37,14 +37,6 @@ bool inside_silhouette(const acquire::RigGeometry& rig, const glm::dvec2& pixel,
   return true;
 }
 
-double lens_transmission(const Calibration& calibration, const glm::dvec2& pixel) {
-  const auto& camera = calibration.geometry.camera;
-  const double corner_x = std::max(camera.centre.x + 0.5, camera.width - 0.5 - camera.centre.x);
-  const double corner_y = std::max(camera.centre.y + 0.5, camera.height - 0.5 - camera.centre.y);
-  const glm::dvec2 offset = pixel - camera.centre;
-  return 1 - calibration.vignetting * (offset.x * offset.x + offset.y * offset.y) / (corner_x * corner_x + corner_y * corner_y);
-}
-
 PixelStep pixel_step(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
   PixelStep step{};
   for (int axis = 0; axis < 2; ++axis) {
@@ -112,8 +104,16 @@ acquire::PlacedLight placed_light(const Calibration& calibration, const Illumina
 
 }  // namespace
 
+double lens_transmission(const Calibration& calibration, const glm::dvec2& pixel) {
+  const auto& camera = calibration.geometry.camera;
+  const double corner_x = std::max(camera.centre.x + 0.5, camera.width - 0.5 - camera.centre.x);
+  const double corner_y = std::max(camera.centre.y + 0.5, camera.height - 0.5 - camera.centre.y);
+  const glm::dvec2 offset = pixel - camera.centre;
+  return 1 - calibration.vignetting * (offset.x * offset.x + offset.y * offset.y) / (corner_x * corner_x + corner_y * corner_y);
+}
+
 Illumination illumination_of(const acquire::ViewRecord& view, const Calibration& calibration) {
-  return {static_cast<std::size_t>(view.light), view.turntable_angle, calibration.light_factor(view).factor};
+  return {static_cast<std::size_t>(view.light), calibration.turntable_scale * view.turntable_angle, calibration.light_factor(view).factor};
 }
 
 void SampleOptions::validate() const {

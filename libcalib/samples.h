@@ -53,6 +53,9 @@ struct Illumination {
 /// Of a view of a session, as `calibration` has followed its light.
 Illumination illumination_of(const acquire::ViewRecord& view, const Calibration& calibration);
 
+/// Of the lens towards its corners: 1 - vignetting * (rho / rho_corner)^2.
+double lens_transmission(const Calibration& calibration, const glm::dvec2& pixel);
+
 /// Precomputed per-pixel geometry of a session's fixed camera and sphere; one view at a time is turned into samples.
 class Sampler {
  public:

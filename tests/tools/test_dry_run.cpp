@@ -27,7 +27,7 @@ TEST_F(DryRunTest, CoverageIsThatOfTheRealRunCellByCell) {
   const auto dry = test::run_lacquer("-q capture --dry-run " + rig + " -o " + session);
   ASSERT_EQ(dry.exit_code, 0) << dry.err;
   EXPECT_FALSE(std::filesystem::exists(session)) << "nothing is written";
-  for (const std::string& command : {"capture " + rig + " -o " + session, "merge " + session, "calibrate geometry " + session, "tabulate " + session}) {
+  for (const std::string& command : {"capture " + rig + " -o " + session, "merge " + session, "calibrate geometry --from-rig " + session, "tabulate " + session}) {
     const auto result = test::run_lacquer("-q " + command);
     ASSERT_EQ(result.exit_code, 0) << command << ": " << result.err;
     if (!command.starts_with("tabulate")) continue;

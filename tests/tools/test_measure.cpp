@@ -49,7 +49,7 @@ TEST(Measure, IsTheSameAsItsStagesOneByOneOnTheCommittedSession) {
   const auto measured = folder / "measured", staged = folder / "staged";
   ASSERT_EQ(run_lacquer("measure " + quoted(tiny_rig()) + " -o " + quoted(measured)).exit_code, 0);
   std::filesystem::copy(test::source_dir() / "data-samples" / "session-tiny", staged, std::filesystem::copy_options::recursive);
-  for (const std::string stage : {"merge ", "calibrate geometry ", "tabulate "}) {
+  for (const std::string stage : {"merge ", "calibrate geometry --from-rig ", "tabulate "}) {
     const auto result = run_lacquer(stage + quoted(staged));
     ASSERT_EQ(result.exit_code, 0) << stage << result.err;
   }

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+#include <vector>
+
+namespace lacquer::calib {
+
+class JsonReader;
+
+/// One number of the estimated geometry. All are CORRECTIONS of what the rig file says, 0 = as the rig file has it: metres, radians, or
+/// pure numbers, in the rig frame of the rig file (camera pose as given there: that is the gauge).
+struct GeometryParameter {
+  std::string name;        ///< "sphere.x", "light LED.y", "axis.tilt_x", ...
+  std::string unit;        ///< "m", "rad", "px" or "1"
+  double nominal = 0;      ///< what the rig file says, for people
+  double correction = 0;
+  double sigma = 0;        ///< 1 sigma, from images and prior
+  double prior_sigma = 0;  ///< of the correction, before any image was seen
+};
+
+/// What is known of an estimated geometry besides its values.
+struct GeometryUncertainty {
+  std::vector<GeometryParameter> parameters;  ///< empty: nothing was estimated
+  std::vector<double> covariance;             ///< of the corrections, row-major, parameters.size() squared
+};
+
+nlohmann::ordered_json uncertainty_to_json(const GeometryUncertainty& uncertainty);
+/// Throws Error{file}: not as many numbers as parameters ask for, or not symmetric.
+GeometryUncertainty uncertainty_from_json(const JsonReader& j);
+
+}  // namespace lacquer::calib

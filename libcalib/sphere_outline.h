@@ -1,0 +1,44 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "libacquire/rig_geometry.h"
+#include "libcalib/geometry_solver.h"
+#include "libcalib/radiance_image.h"
+
+namespace lacquer::calib {
+
+struct OutlineOptions {
+  double lens_blur_px = 0.5;   ///< sigma of the lens, without the pixel's own area
+  double search_px = 0;        ///< the silhouette is looked for this far to both sides of where the rig file has it; 0: 3 sigma of a 3 mm ruler
+  double min_cosine = 0.1;     ///< of light and limb: beyond it the limb is the terminator, not the silhouette
+  double max_light_angle = 2.1;  ///< radians from the line of sight; a light further behind makes the limb itself a highlight
+  double arc_px = 6;           ///< length of silhouette per edge point
+};
+
+/// Sub-pixel silhouette of a sphere from the radiance images of a session, one in memory at a time. Around the place that the rig file
+/// gives the limb is cut into arcs; each arc adds up the views whose light it faces. finish() finds the steepest ascent of every arc,
+/// fits a sphere robustly, and fits each arc's profile about it: background, then a + b sqrt(depth) + c depth, as a limb is lit
+/// (the cosines go with the square root of the depth), blurred by lens and pixel. A mosaic's green values only; nothing is interpolated.
+class OutlineFinder {
+ public:
+  /// Throws Error{input} for a camera that is not a pinhole.
+  OutlineFinder(const acquire::RigGeometry& nominal, const OutlineOptions& options);
+  ~OutlineFinder();
+  /// `light`: as placed by the rig file.
+  void add(const RadianceImage& image, const acquire::PlacedLight& light);
+  struct Outline {
+    std::vector<EdgePoint> edges;
+    acquire::RigGeometry geometry;   ///< nominal, with the sphere where these edges have it
+    std::size_t n_arcs = 0, n_dark = 0, n_rejected = 0;  ///< arcs in all; never lit; no clear step
+  };
+  /// No edges: geometry is the nominal one.
+  Outline finish() const;
+
+ private:
+  struct Implementation;
+  std::unique_ptr<Implementation> implementation_;
+};
+
+}  // namespace lacquer::calib

@@ -1,0 +1,132 @@
+#include "tools/calibrate_geometry.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <filesystem>
+#include <glm/geometric.hpp>
+#include <memory>
+
+#include "libacquire/session.h"
+#include "libacquire/sim/simulated_world.h"
+#include "libcalib/calibration.h"
+#include "libcalib/geometry_session.h"
+#include "libcalib/merge_session.h"
+#include "tools/calibrate_parts.h"
+
+namespace lacquer::tools {
+
+namespace {
+
+constexpr double degree = 3.14159265358979323846 / 180;
+
+struct Options {
+  std::string session;
+  bool from_rig = false;
+};
+
+/// Factor and unit for people.
+std::pair<double, const char*> shown_as(const std::string& unit) {
+  if (unit == "m") return {1e3, "mm"};
+  if (unit == "rad") return {1 / degree, "deg"};
+  if (unit == "px") return {1, "px"};
+  return {1, ""};
+}
+
+std::string names(const std::vector<std::string>& views) {
+  std::string text;
+  for (std::size_t i = 0; i < views.size() && i < 12; ++i) text += (i ? " " : "") + views[i];
+  return views.size() > 12 ? text + fmt::format(" and {} more", views.size() - 12) : text;
+}
+
+/// Error of a geometry against another: half vectors at pixels and views that samples come from, directions and distance of lights.
+struct Against {
+  double half = 0, light = 0, distance = 0, centre_px = 0;  ///< RMS: radians, radians, relative; pixels
+};
+
+Against against(const acquire::RigGeometry& g, double scale, const acquire::RigGeometry& truth, const acquire::Session& session) {
+  constexpr double min_cosine = 0.0872;  // 85 degrees, as samples have it
+  double half = 0, light = 0, distance = 0, n = 0, n_views = 0;
+  const int step = std::max(1, g.camera.height / 60);
+  for (const std::size_t v : session.views_of(acquire::ViewKind::measurement)) {
+    const auto& view = session.views[v];
+    const auto index = static_cast<std::size_t>(view.light);
+    if (g.lights[index].distant) continue;
+    const glm::dvec3 l = g.place_light(index, scale * view.turntable_angle).position, m = truth.place_light(index, view.turntable_angle).position;
+    light += std::pow(glm::length(glm::normalize(l) - glm::normalize(m)), 2);
+    distance += std::pow(glm::length(l) / glm::length(m) - 1, 2);
+    ++n_views;
+    for (int y = 0; y < g.camera.height; y += step)
+      for (int x = 0; x < g.camera.width; x += step) {
+        const auto p = acquire::trace(g, {x, y}), q = acquire::trace(truth, {x, y});
+        if (!p || !q || glm::dot(q->normal, q->wo) < min_cosine) continue;
+        const glm::dvec3 wi = glm::normalize(l - p->position), true_wi = glm::normalize(m - q->position);
+        if (glm::dot(true_wi, q->normal) < min_cosine) continue;
+        const glm::dvec3 d = (glm::normalize(wi + p->wo) - p->normal) - (glm::normalize(true_wi + q->wo) - q->normal);
+        half += glm::dot(d, d);
+        ++n;
+      }
+  }
+  Against a{n > 0 ? std::sqrt(half / n) : 0, n_views > 0 ? std::sqrt(light / n_views) : 0, n_views > 0 ? std::sqrt(distance / n_views) : 0, 0};
+  const auto c = g.camera.project(g.cam_from_rig.translation), d = truth.camera.project(truth.cam_from_rig.translation);
+  if (c && d) a.centre_px = glm::length(*c - *d);
+  return a;
+}
+
+void print_against(const char* name, const Against& a) {
+  fmt::print("  {:<10} half vector {:8.4f} deg   light {:8.4f} deg   distance {:6.3f} %   sphere centre {:7.3f} px\n", name, a.half / degree, a.light / degree,
+             100 * a.distance, a.centre_px);
+}
+
+}  // namespace
+
+void print_geometry(const calib::SessionGeometry& g, const acquire::Session& session) {
+  const calib::GeometryEstimate& e = g.estimate;
+  fmt::print("{:<18} {:>10} {:>12} {:>10} {:>9}\n", "", "rig file", "estimate", "+-", "unit");
+  for (const calib::GeometryParameter& p : e.uncertainty.parameters) {
+    const auto [factor, unit] = shown_as(p.unit);
+    const int digits = p.unit == "1" ? 6 : 4;
+    fmt::print("{:<18} {:>10.{}f} {:>12.{}f} {:>10.{}f} {:>9}\n", p.name, factor * p.nominal, digits - 2, factor * (p.nominal + p.correction), digits,
+               factor * p.sigma, digits, unit);
+  }
+  fmt::print("silhouette: {} of {} arcs ({} never lit, {} outliers), rms {:.3f} px{}\n", e.n_edges, g.n_arcs, g.n_dark_arcs, e.n_edge_outliers, e.edge_rms_px,
+             e.edge_noise_factor > 1.5 ? fmt::format(", {:.1f} times their noise: sigmas widened by it", e.edge_noise_factor) : "");
+  fmt::print("highlights: {} of {} views, rms {:.3f} px per coordinate{}\n", e.n_highlights, g.n_views, e.highlight_rms_px,
+             e.highlight_noise_factor > 1.5 ? fmt::format(", {:.1f} times their noise: sigmas widened by it", e.highlight_noise_factor) : "");
+  for (const auto& [fate, views] : g.rejected) fmt::print("  no highlight in {}: {}\n", names(views), describe(fate));
+  for (const auto& o : e.outliers) fmt::print("  outlier: {}: off by {:+.2f} {:+.2f} px, left out\n", o.view, o.residual.x, o.residual.y);
+  fmt::print("known to (1 sigma): half vectors {:.4f} deg, lights {:.4f} deg and {:.3f} % of their distance, sphere centre {:.3f} px{}\n", e.half_vector_sigma_rad / degree,
+             e.light_sigma_rad / degree, 100 * e.distance_sigma, e.centre_sigma_px, e.converged ? "" : "; the solver did NOT converge");
+  for (const std::string& w : e.warnings) fmt::print("warning: {}\n", w);
+  if (session.rig.kind != acquire::RigDescription::Kind::simulated) return;
+  // The truth of a simulated rig enters here, for the comparison, and nowhere before.
+  const acquire::RigGeometry truth = acquire::sim::true_geometry(session.rig);
+  fmt::print("against the simulated truth, at the angles read back:\n");
+  print_against("rig file", against(session.rig.geometry, 1, truth, session));
+  print_against("estimate", against(e.geometry, e.turntable_scale, truth, session));
+}
+
+void add_calibrate_geometry(CLI::App& calibrate, Context& context) {
+  auto o = std::make_shared<Options>();
+  CLI::App* command = calibrate.add_subcommand("geometry", "merged images -> sphere, turntable axis and lights, from silhouette and highlights");
+  command->add_option("session", o->session, "session folder, merged")->required();
+  command->add_flag("--from-rig", o->from_rig, "estimate nothing: take the geometry over from the session's rig file");
+  command->callback([o, &context] {
+    const acquire::Session session = acquire::read_session(o->session);
+    const std::filesystem::path file = session.folder / "calibration.json";
+    // Response, noise and drift that were found already stay.
+    calib::Calibration calibration = std::filesystem::exists(file) ? calib::read_calibration(file) : calib::sensor_calibration(session, stderr_progress(context));
+    if (o->from_rig) {
+      calibration.geometry = session.rig.geometry;
+      calibration.geometry_source = "rig file";
+      calibration.geometry_uncertainty = {};
+      calibration.turntable_scale = 1;
+    } else {
+      print_geometry(calib::estimate_geometry(session, calibration, {}, {}, stderr_progress(context)), session);
+    }
+    calib::write_calibration(file, calibration, provenance_json(context, {(session.folder / "rig.toml").string()}));
+    fmt::print("geometry: {}\nscale: {}\ncalibration: {}\n", calibration.geometry_source, calibration.scale_source, file.string());
+  });
+}
+
+}  // namespace lacquer::tools

@@ -1,0 +1,11 @@
+#pragma once
+
+#include "libacquire/session.h"
+#include "libcalib/geometry_session.h"
+
+namespace lacquer::tools {
+
+/// Table of an estimated geometry on stdout; of a simulated rig also its errors against the truth.
+void print_geometry(const calib::SessionGeometry& geometry, const acquire::Session& session);
+
+}  // namespace lacquer::tools
