@@ -133,12 +133,14 @@ struct Refined {
   brdf::CookTorrance model;
 };
 
-/// `start`: minimum of the subset. Sets the weights of `all`.
+/// `start`: minimum of the subset. Sets the weights of `all`, and `shared`: shared_error.
 Refined refine(Observations& all, const ParameterLayout& layout, const brdf::CookTorrance& start, const ObjectiveOptions& objective_options,
-               const FitOptions& options, double last_insignificant) {
+               const FitOptions& options, double last_insignificant, double& shared) {
   Refined refined{.solution = {}, .model = start};
   for (const double insignificant : {1.0, last_insignificant}) {  // the first weights are not worth more than a sigma
     weigh(all, options.model_sigma, &refined.model);
+    shared = options.limit_groups ? shared_error(all, refined.model) : 0;
+    if (shared > 0) limit_groups(all, shared);
     const Objective objective(all, layout, objective_options);
     refined.solution = minimise(objective, layout.pack(refined.model), refinement(options, insignificant));
     refined.model = sorted_by_falling_m(layout.unpack(refined.solution.x));
@@ -196,7 +198,7 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
 
   const ParameterLayout richest(n_channels, structures.back());
   const Refined refined = refine(all, richest, minima.back().front().model, objective_options, options,
-                                 options.n_lobes ? exact : compared);
+                                 options.n_lobes ? exact : compared, result.shared_error);
   step_done(3);
   std::vector<Trial> trials;
   for (std::size_t s = 0; s < structures.size(); ++s) trials.push_back({structures[s], minima[s].front().model, {}});

@@ -25,6 +25,8 @@ struct FitOptions {
       3.0;  ///< Huber threshold in sigmas (towards the paper's absolute log ratio for outliers)
   double energy_weight =
       10.0;  ///< 10 % more reflected than received costs this / 10 sigma on every cell; 0: no energy penalty
+  /// Where the model does not fit the paint, cells of one (theta_h, theta_d) count together (FitResult::shared_error); else each for itself.
+  bool limit_groups = true;
   int max_iterations = 200;
   unsigned threads = 0;   ///< 0: all; the result does not depend on it
   void validate() const;  ///< throws Error{usage} naming the field
@@ -78,6 +80,9 @@ struct FitResult {
   std::vector<Minimum> minima;        ///< distinct minima with the chosen number of lobes, best first
   std::vector<Candidate> candidates;  ///< structures that were tried, the chosen one first, then by rising criterion
   double overdispersion = 1;          ///< c of Candidate
+  /// Relative error that cells of one (theta_h, theta_d) were found to share because the model does not fit the paint: limits what they
+  /// count together. 0 where it fits.
+  double shared_error = 0;
   std::size_t n_cells = 0;            ///< used
   std::size_t n_cells_available = 0;  ///< usable cells of the table
   std::size_t n_residuals = 0;        ///< used cells times their channels

@@ -75,6 +75,7 @@ Json errors(const FitResult& fit) {
           {"rms_log", fit.rms_log},
           {"reduced_chi2", fit.reduced_chi2},
           {"overdispersion", fit.overdispersion},
+          {"shared_error", fit.shared_error},
           {"energy", fit.energy},
           {"n_cells", fit.n_cells},
           {"n_cells_available", fit.n_cells_available},
@@ -97,6 +98,7 @@ Json options(const FitOptions& o) {
           {"min_m", o.min_m},
           {"robust_scale", o.robust_scale},
           {"energy_weight", o.energy_weight},
+          {"limit_groups", o.limit_groups},
           {"max_iterations", o.max_iterations}};
 }
 

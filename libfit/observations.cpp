@@ -317,4 +317,78 @@ void weigh(Observations& observations, double model_sigma, const brdf::CookTorra
     });
 }
 
+namespace {
+
+/// work(first, last) for the runs of cells that share (theta_h, theta_d).
+template <typename Work>
+void for_each_group(const CellSet& set, const Work& work) {
+  for (std::size_t begin = 0, end; begin < set.size(); begin = end) {
+    const std::uint32_t group = set.cell[begin] / TableGrid::n_phi_d;
+    for (end = begin; end < set.size() && set.cell[end] / TableGrid::n_phi_d == group;) ++end;
+    work(begin, end);
+  }
+}
+
+/// 1 / sigma of the logarithm.
+double relative_weight(const CellSet::Channel& channel, std::size_t k) {
+  return channel.inverse_sigma[k] >= 0 ? channel.inverse_sigma[k] : -channel.inverse_sigma[k] * std::max(0.0f, channel.target[k]);
+}
+
+}  // namespace
+
+double shared_error(const Observations& observations, const brdf::CookTorrance& model) {
+  constexpr double normal_median_square = 0.4549, model_fits = 4;
+  struct Group {
+    double mean, variance;
+  };
+  std::vector<Group> groups;
+  for (const CellSet& set : observations.sets) {
+    std::array<std::vector<double>, 3> values;
+    evaluate(set, 0, set.size(), model, values);
+    for (int c = 0; c < set.n_channels; ++c) {
+      const CellSet::Channel& channel = set.channels[static_cast<std::size_t>(c)];
+      const std::vector<double>& value = values[static_cast<std::size_t>(c)];
+      for_each_group(set, [&](std::size_t begin, std::size_t end) {
+        double sum = 0, weight = 0;
+        for (std::size_t k = begin; k < end; ++k) {
+          if (!(channel.inverse_sigma[k] > 0)) continue;  // not used, or too weak for a logarithm
+          const double w = static_cast<double>(channel.inverse_sigma[k]) * channel.inverse_sigma[k];
+          sum += w * std::log(value[k] / channel.target[k]);
+          weight += w;
+        }
+        if (weight > 0 && std::isfinite(sum)) groups.push_back({sum / weight, 1 / weight});
+      });
+    }
+  }
+  if (groups.empty()) return 0;
+  std::vector<double> squares(groups.size());
+  const auto median_square = [&](double shared2) {
+    for (std::size_t g = 0; g < groups.size(); ++g) squares[g] = groups[g].mean * groups[g].mean / (groups[g].variance + shared2);
+    const auto middle = squares.begin() + static_cast<std::ptrdiff_t>(squares.size() / 2);
+    std::nth_element(squares.begin(), middle, squares.end());
+    return *middle / normal_median_square;
+  };
+  if (median_square(0) <= model_fits) return 0;
+  double low = 0, high = 1;
+  while (median_square(high) > 1 && high < 1e6) high *= 4;
+  for (int i = 0; i < 40; ++i) {
+    const double middle = (low + high) / 2;
+    (median_square(middle) > 1 ? low : high) = middle;
+  }
+  return std::sqrt((low + high) / 2);
+}
+
+void limit_groups(Observations& observations, double shared) {
+  for (CellSet& set : observations.sets)
+    for (int c = 0; c < set.n_channels; ++c) {
+      CellSet::Channel& channel = set.channels[static_cast<std::size_t>(c)];
+      for_each_group(set, [&](std::size_t begin, std::size_t end) {
+        double weight = 0;
+        for (std::size_t k = begin; k < end; ++k) weight += std::pow(relative_weight(channel, k), 2);
+        const auto factor = static_cast<float>(1 / std::sqrt(1 + shared * shared * weight));
+        for (std::size_t k = begin; k < end; ++k) channel.inverse_sigma[k] *= factor;
+      });
+    }
+}
+
 }  // namespace lacquer::fit

@@ -48,6 +48,9 @@ std::string to_text(const Options& options, const brdf::Brdf& input, const fit::
                       fit.mean_abs_log, fit.rms_log);
   text += fmt::format("chi2/n       {:.4g}{}\n", fit.reduced_chi2,
                       fit.reduced_chi2 > 1 ? "   above 1: standard errors are scaled up by its root" : "");
+  if (fit.shared_error > 0)
+    text += fmt::format("misfit       {:.2g} %   the model does not follow the paint closer; cells of one direction of light count together\n",
+                        100 * fit.shared_error);
   text += fmt::format("energy       {:.3f}   normal-incidence albedo, largest channel{}\n", fit.energy,
                       fit.energy > 1 ? ": IMPLAUSIBLE, more than 1" : "");
   text += fmt::format("cells        {} of {} usable\n", fit.n_cells, fit.n_cells_available);

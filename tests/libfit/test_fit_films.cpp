@@ -10,7 +10,7 @@ namespace {
 fit::FitResult fit_film(const std::string& name, int n_lobes) {
   const auto film = brdf::load_brdf(shared_data() / "measured-brdf" / name);
   const auto* table = dynamic_cast<const brdf::TableBrdf*>(film.get());
-  const fit::FitOptions options{.n_lobes = n_lobes, .max_cells = 10000};
+  const fit::FitOptions options{.n_lobes = n_lobes, .max_cells = 10000, .limit_groups = false};  // as SciPy weighs them
   const fit::FitResult fit =
       fit::fit_table(table ? table->table() : brdf::tabulate_brdf(*film, options.min_cosine), options);
   std::printf("%s, %d lobes: mean |ln| %.4f, rms %.4f, %.2f s\n", name.c_str(), n_lobes, fit.mean_abs_log,

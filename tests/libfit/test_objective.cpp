@@ -3,6 +3,7 @@
 #include <cmath>
 #include <memory>
 #include <numbers>
+#include <random>
 
 #include "fit_test_support.h"
 #include "libfit/objective.h"
@@ -269,6 +270,39 @@ TEST(Objective, AlbedoEstimateIsTheIntegralOverTheHemisphere) {
     }
     EXPECT_NEAR(fit::normal_incidence_albedo(model).x, integral, 0.025 * integral) << "m = " << m;
   }
+}
+
+// Cells of one (theta_h, theta_d) that are off together by a normal error of 20 %: that error comes back. Noise alone is none.
+TEST(SharedError, IsFoundWhereGroupsAreOffTogetherAndNowhereElse) {
+  const brdf::CookTorrance model = paint("polaris-silber");
+  brdf::HalfAngleTable table = with_noise(table_of(model, 11), 0.03, 0, 7);
+  {
+    Observed noise = observed(table, 0.01, brdf::TableGrid::n_cells);
+    fit::weigh(noise.observations, 0.01, &model);
+    EXPECT_EQ(fit::shared_error(noise.observations, model), 0);
+  }
+  std::mt19937_64 generator(3);
+  std::normal_distribution<double> normal;
+  for (auto& channel : table.channels) {
+    double off = 1;
+    for (std::size_t i = 0; i < brdf::TableGrid::n_cells; ++i) {
+      if (i % brdf::TableGrid::n_phi_d == 0) off = std::exp(0.2 * normal(generator));
+      channel.mean[i] *= static_cast<float>(off);
+    }
+  }
+  Observed misfit = observed(table, 0.01, brdf::TableGrid::n_cells);
+  fit::weigh(misfit.observations, 0.01, &model);
+  EXPECT_NEAR(fit::shared_error(misfit.observations, model), 0.2, 0.01);  // some ten thousand groups: 1 % by chance
+}
+
+// By hand: two cells of 1 % in one group, shared error 10 %: together 1 / (0.01^2 / 2 + 0.1^2) instead of 2 / 0.01^2.
+TEST(SharedError, LimitsWhatAGroupCounts) {
+  Observed two = observed(few_cells({0.1f, 0.1f}, 0.0f), 0.01);
+  fit::limit_groups(two.observations, 0.1);
+  double weight = 0;
+  for (const auto& set : two.observations.sets)
+    for (const float w : set.channels[0].inverse_sigma) weight += static_cast<double>(w) * w;
+  EXPECT_NEAR(weight, 1 / (0.01 * 0.01 / 2 + 0.1 * 0.1), 1e-3);
 }
 
 }  // namespace
