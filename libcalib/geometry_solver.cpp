@@ -149,6 +149,8 @@ struct Data {
   const std::vector<Highlight>& highlights;
   std::vector<bool> edge_used, highlight_used;
   double edge_factor = 1, highlight_factor = 1;
+  double angle_sigma = 0;               ///< of the turntable's angles, radians, found from the residuals along the highlights' tracks
+  std::vector<glm::dvec2> track = {};   ///< pixels per radian of the turntable, per highlight; empty: not needed yet
 
   /// Residuals over sigma: one per edge, two (uncorrelated) per highlight, then the priors. Those not in use are 0.
   std::vector<double> residuals(const Problem& problem, const std::vector<double>& x) const {
@@ -165,8 +167,11 @@ struct Data {
       glm::dvec2 white(0.0);
       if (highlight_used[i]) {
         const glm::dvec2 d = h.pixel - predicted(g, scale, h);
-        const double l = std::sqrt(h.xx), m = h.xy / l, n = std::sqrt(h.yy - m * m);  // Cholesky factor of the covariance
-        white = glm::dvec2(d.x / l, (d.y - m * d.x / l) / n) / highlight_factor;
+        const double f = highlight_factor * highlight_factor, g2 = angle_sigma * angle_sigma;
+        const glm::dvec2 t = track.empty() ? glm::dvec2(0.0) : track[i];
+        const double xx = f * h.xx + g2 * t.x * t.x, xy = f * h.xy + g2 * t.x * t.y, yy = f * h.yy + g2 * t.y * t.y;
+        const double l = std::sqrt(xx), m = xy / l, n = std::sqrt(yy - m * m);  // Cholesky factor of the covariance
+        white = glm::dvec2(d.x / l, (d.y - m * d.x / l) / n);
       }
       r.push_back(white.x);
       r.push_back(white.y);
@@ -280,41 +285,58 @@ double median(std::vector<double> v) {
   return v[v.size() / 2];
 }
 
-/// Sizes of the residuals in use; also sets the noise factors by their median, which outliers hardly move.
-void select_inliers(Data& data, const Problem& problem, const std::vector<double>& x) {
-  constexpr double limit = 5;  // sigma: one good highlight in 270 000 is lost
+/// How noisy the data are, by medians, which outliers hardly move: the sigmas given say only what they are relative to each other. What
+/// highlights scatter more along their track than across is the turntable's.
+void measure_noise(Data& data, const Problem& problem, const std::vector<double>& x) {
+  constexpr std::size_t few = 12;      // fewer do not say: the sigmas given are believed
+  constexpr double floor = 0.1;
+  constexpr double normal = 0.67449;   // median of |normal|
+  data.edge_factor = data.highlight_factor = 1;
+  data.angle_sigma = 0;
   data.edge_used.assign(data.edges.size(), true);
   data.highlight_used.assign(data.highlights.size(), true);
-  data.edge_factor = data.highlight_factor = 1;
   const std::vector<double> r = data.residuals(problem, x);
-  std::vector<double> edge_sizes, highlight_sizes;
-  for (std::size_t i = 0; i < data.edges.size(); ++i) edge_sizes.push_back(std::abs(r[i]));
-  for (std::size_t i = 0; i < data.highlights.size(); ++i) highlight_sizes.push_back(datum_size(data, r, i));
-  // Medians of |normal| and of the length of two normals.
-  const double edge_scale = std::max(1.0, median(edge_sizes) / 0.67449), highlight_scale = std::max(1.0, median(highlight_sizes) / 1.17741);
-  for (std::size_t i = 0; i < edge_sizes.size(); ++i) data.edge_used[i] = edge_sizes[i] <= limit * edge_scale;
-  for (std::size_t i = 0; i < highlight_sizes.size(); ++i) data.highlight_used[i] = highlight_sizes[i] <= limit * highlight_scale;
+  std::vector<double> sizes;
+  for (std::size_t i = 0; i < data.edges.size(); ++i) sizes.push_back(std::abs(r[i]));
+  if (sizes.size() >= few) data.edge_factor = std::max(floor, median(sizes) / normal * std::sqrt(static_cast<double>(sizes.size()) / (static_cast<double>(sizes.size()) - 4)));
+
+  const acquire::RigGeometry g = problem.geometry(x);
+  const double scale = problem.turntable_scale(x);
+  const std::size_t n = data.highlights.size();
+  data.track.assign(n, glm::dvec2(0.0));
+  std::vector<double> across, along, own;
+  for (std::size_t i = 0; i < n; ++i) {
+    constexpr double step = 1e-5;
+    Highlight h = data.highlights[i];
+    const glm::dvec2 here = predicted(g, scale, h), residual = h.pixel - here;
+    h.turntable_angle += step;
+    if (g.lights[h.light].on_arm) data.track[i] = (predicted(g, scale, h) - here) / step;
+    const double speed = glm::length(data.track[i]);
+    if (!(speed > 0) || !std::isfinite(speed)) {
+      data.track[i] = glm::dvec2(0.0);
+      continue;
+    }
+    const glm::dvec2 t = data.track[i] / speed, c(-t.y, t.x);
+    const auto variance = [&](const glm::dvec2& v) { return v.x * v.x * h.xx + 2 * v.x * v.y * h.xy + v.y * v.y * h.yy; };
+    across.push_back(std::abs(glm::dot(residual, c)) / std::sqrt(variance(c)));
+    along.push_back(std::abs(glm::dot(residual, t)) / speed);
+    own.push_back(variance(t) / (speed * speed));
+  }
+  if (across.size() < few) return;
+  // Fitted unknowns take their share of the residuals: at most 8.
+  const double share = std::sqrt(static_cast<double>(across.size()) / (static_cast<double>(across.size()) - 4));
+  data.highlight_factor = std::max(floor, share * median(across) / normal);
+  const double total = share * median(along) / normal;
+  data.angle_sigma = std::sqrt(std::max(0.0, total * total - data.highlight_factor * data.highlight_factor * median(own)));
 }
 
-/// Where residuals are larger than the sigmas say, the sigmas are too small.
-void set_noise_factors(Data& data, const Problem& problem, const std::vector<double>& x) {
-  data.edge_factor = data.highlight_factor = 1;
+void select_inliers(Data& data, const Problem& problem, const std::vector<double>& x) {
+  constexpr double limit = 5;  // sigma; of 270 000 good highlights one is lost
+  data.edge_used.assign(data.edges.size(), true);
+  data.highlight_used.assign(data.highlights.size(), true);
   const std::vector<double> r = data.residuals(problem, x);
-  double edge = 0, highlight = 0, n_edge = 0, n_highlight = 0;
-  for (std::size_t i = 0; i < data.edges.size(); ++i) {
-    if (!data.edge_used[i]) continue;
-    edge += r[i] * r[i];
-    ++n_edge;
-  }
-  for (std::size_t i = 0; i < data.highlights.size(); ++i) {
-    if (!data.highlight_used[i]) continue;
-    const double s = datum_size(data, r, i);
-    highlight += s * s;
-    n_highlight += 2;
-  }
-  // Fitted unknowns take their share of the residuals: 4 for the silhouette, at most 8 for the highlights.
-  if (n_edge > 8) data.edge_factor = std::max(1.0, std::sqrt(edge / (n_edge - 4)));
-  if (n_highlight > 16) data.highlight_factor = std::max(1.0, std::sqrt(highlight / (n_highlight - 8)));
+  for (std::size_t i = 0; i < data.edges.size(); ++i) data.edge_used[i] = std::abs(r[i]) <= limit;
+  for (std::size_t i = 0; i < data.highlights.size(); ++i) data.highlight_used[i] = datum_size(data, r, i) <= limit;
 }
 
 double quadratic(const std::vector<double>& covariance, const std::vector<double>& v) {
@@ -340,6 +362,21 @@ Consequence consequence(const Problem& problem, const std::vector<double>& x, co
   return c;
 }
 
+/// A pixel whose sample a view may give: the first lit one of a sunflower's pattern over the sphere from number `first` on.
+std::optional<glm::dvec2> sample_pixel(const acquire::RigGeometry& g, const glm::dvec3& light, std::size_t first) {
+  constexpr std::size_t n = 60;
+  constexpr double golden_angle = 2.3999632297286533, min_cosine = 0.0872;  // 85 degrees
+  const auto centre = g.camera.project(g.cam_from_rig.translation);
+  const double radius = g.camera.focal.x * g.sphere_radius / g.cam_from_rig.translation.z;
+  for (std::size_t k = first; centre && k < first + n; ++k) {
+    const double r = radius * std::sqrt((static_cast<double>(7 * k % n) + 0.5) / n), a = golden_angle * static_cast<double>(7 * k % n);
+    const glm::dvec2 pixel = *centre + r * glm::dvec2(std::cos(a), std::sin(a));
+    const auto point = acquire::trace(g, pixel);
+    if (point && glm::dot(point->normal, point->wo) > min_cosine && glm::dot(point->normal, glm::normalize(light - point->position)) > min_cosine) return pixel;
+  }
+  return std::nullopt;
+}
+
 /// Derivatives of the consequences by the unknowns, for a spread of views.
 struct Effects {
   std::vector<std::vector<double>> light, half, distance;  ///< each row: one component, by unknown
@@ -353,7 +390,9 @@ Effects effects(const Problem& problem, const std::vector<double>& x, const Data
   const std::size_t n = data.highlights.size(), stride = std::max<std::size_t>(1, n / max_views);
   for (std::size_t i = 0; i < n; i += stride) {
     const Highlight& h = data.highlights[i];
-    const glm::dvec2 pixel = predicted(g, problem.turntable_scale(x), h);
+    const auto lit = sample_pixel(g, g.place_light(h.light, h.turntable_angle * problem.turntable_scale(x)).position, i);
+    if (!lit) continue;
+    const glm::dvec2 pixel = *lit;
     std::vector<std::vector<double>> rows(7, std::vector<double>(x.size()));
     for (std::size_t k = 0; k < x.size(); ++k) {
       std::vector<double> up = x, down = x;
@@ -491,12 +530,11 @@ GeometryEstimate solve_geometry(const acquire::RigGeometry& nominal, const std::
   GeometryEstimate e;
   for (int round = 0; round < 4; ++round) {
     const auto before = std::pair(data.edge_used, data.highlight_used);
+    measure_noise(data, problem, x);
     select_inliers(data, problem, x);
-    set_noise_factors(data, problem, x);
     e.converged = minimise(data, problem, 0, x);
     if (round > 0 && before == std::pair(data.edge_used, data.highlight_used)) break;
   }
-  set_noise_factors(data, problem, x);
 
   const Columns j = derivatives(data, problem, x);
   std::vector<double> weight(j.d.front().size(), 1.0);
@@ -521,6 +559,7 @@ GeometryEstimate solve_geometry(const acquire::RigGeometry& nominal, const std::
   e.turntable_scale = problem.turntable_scale(x);
   e.edge_noise_factor = data.edge_factor;
   e.highlight_noise_factor = data.highlight_factor;
+  e.angle_sigma_rad = data.angle_sigma;
 
   double edge_sum = 0, highlight_sum = 0;
   for (std::size_t i = 0; i < edges.size(); ++i) {

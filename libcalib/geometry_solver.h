@@ -48,7 +48,10 @@ struct GeometryEstimate {
   bool converged = false;
   std::size_t n_edges = 0, n_highlights = 0;  ///< used
   double edge_rms_px = 0, highlight_rms_px = 0;  ///< of those used; highlights: per coordinate
-  double edge_noise_factor = 1, highlight_noise_factor = 1;  ///< >= 1: by which the sigmas given were too small, as the residuals show
+  /// By which the sigmas given were too small (> 1) or too large, as the residuals show; highlights: across their track. 1 where there are
+  /// too few residuals to say.
+  double edge_noise_factor = 1, highlight_noise_factor = 1;
+  double angle_sigma_rad = 0;     ///< scatter of the turntable's angles that the highlights show along their track
   std::size_t n_edge_outliers = 0;
   struct Outlier {
     std::string view;
@@ -58,7 +61,7 @@ struct GeometryEstimate {
   std::vector<Outlier> outliers;  ///< highlights left out
   double centre_sigma_px = 0;     ///< of the sphere's centre in the image, larger axis
   double light_sigma_rad = 0;     ///< RMS over the highlights' views: direction of the light seen from the sphere's centre
-  double half_vector_sigma_rad = 0;  ///< half vector against normal at the highlight's nominal pixel, RMS over the views
+  double half_vector_sigma_rad = 0;  ///< half vector against normal, RMS over views and lit pixels
   double distance_sigma = 0;      ///< relative, of the lights' distance, RMS
   std::vector<std::string> warnings;  ///< what the images do not determine, in words
 };
@@ -72,7 +75,7 @@ std::optional<glm::dvec2> mirror_pixel(const acquire::RigGeometry& rig, const gl
 std::optional<double> silhouette_distance(const acquire::RigGeometry& rig, const glm::dvec2& pixel);
 
 /// Maximum of the posterior: least squares of all residuals over their sigmas and of the priors, outliers found with a Cauchy loss first
-/// and then left out by name. Throws Error{input}: orthographic camera, a distant light with a highlight, no data at all.
+/// and then left out by name. The sigmas of the data are scaled to what the residuals show, see GeometryEstimate. Throws Error{input}: orthographic camera, a distant light with a highlight, no data at all.
 GeometryEstimate solve_geometry(const acquire::RigGeometry& nominal, const std::vector<EdgePoint>& edges,
                                 const std::vector<Highlight>& highlights, const GeometryPriors& priors = {});
 

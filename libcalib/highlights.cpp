@@ -171,10 +171,12 @@ struct LobeModel {
     const glm::dmat2 c = glm::dmat2(width2 / 2) + extra;
     return std::exp(-0.5 * glm::dot(s, glm::inverse(c) * s));
   }
-  /// Squared distance from the shifted centre in sigmas of the lobe.
+  /// Squared distance from the shifted centre in sigmas of the lobe; of a lobe of a pixel's size, in pixels and more, or its window
+  /// would hold too few values.
   double distance2(const Value& v, const glm::dvec2& shift, double width2) const {
+    constexpr double least_px = 0.8;
     const glm::dvec2 s = v.slope - j * shift;
-    const glm::dmat2 c = glm::dmat2(width2 / 2) + extra;
+    const glm::dmat2 c = glm::dmat2(width2 / 2) + extra + least_px * least_px * j * glm::transpose(j);
     return glm::dot(s, glm::inverse(c) * s);
   }
 };
@@ -224,14 +226,16 @@ LobeFit fit_lobe(const LobeModel& model, const glm::dvec2& start, double width2,
         d[4 + 2 * c] = v.mirror * lobe;
         // The lobe's profile is a model: 3 % of what is there, besides the noise.
         const double doubt = 0.03 * std::max(std::abs(expected), std::abs(height * v.mirror) * 0.1);
-        const double weight = 1 / (v.variance + doubt * doubt + 1e-300), r = v.radiance - expected;
+        // Falls to 0 at the window's edge, so that no pixel enters or leaves with a jump.
+        const double inside = 1 - model.distance2(v, fit.shift, w2) / (reach * reach);
+        const double weight = inside * inside / (v.variance + doubt * doubt + 1e-300), r = v.radiance - expected;
         chi2 += weight * r * r;
         for (std::size_t p = 0; p < n_unknowns; ++p) {
           b[p] += weight * d[p] * r;
           for (std::size_t q = 0; q <= p; ++q) a.at(p, q) += weight * d[p] * d[q];
         }
       }
-      if (fit.n < 3 * n_unknowns) return fit;
+      if (fit.n < 2 * n_unknowns) return fit;
       const SymmetricMatrix information = a;
       if (stage == 1)
         for (std::size_t p = 0; p < 3; ++p) a.at(p, p) *= 1.01;
@@ -303,6 +307,11 @@ HighlightResult find_highlight(const RadianceImage& image, const Calibration& ca
     return result;
   }
 
+  if (peak->height < 1.2) {
+    result.fate = HighlightFate::matte;
+    return result;
+  }
+
   // Width: area above half of the height over the level of the surroundings.
   const glm::dvec2 start = peak->pixel - *expected;
   double above = 0;
@@ -340,7 +349,7 @@ HighlightResult find_highlight(const RadianceImage& image, const Calibration& ca
     return result;
   }
 
-  constexpr double reach = 2.6;
+  constexpr double reach = 2.9;
   const double window_px = glm::length(start) + 3 + 4 * radius_px * std::sqrt(det) / slowest;
   const Region region = collect(image, calibration, placed, f, *expected, window_px, 0.12);
   const LobeModel model{region.values, *expected, *j, extra};
@@ -380,7 +389,7 @@ HighlightResult find_highlight(const RadianceImage& image, const Calibration& ca
       return result;
     }
   }
-  const double clear = 2 + 3 * std::sqrt(std::max(spread[0][0], spread[1][1]));
+  const double clear = 1.5 + 2.5 * std::sqrt(std::max(spread[0][0], spread[1][1]));
   const auto second = brightest(near.values, centre, clear);
   if (second && second->height - 1 > 0.5 * (peak->height - 1) && second->height > 1.5) {
     result.fate = HighlightFate::two_peaks;

@@ -89,10 +89,10 @@ void print_geometry(const calib::SessionGeometry& g, const acquire::Session& ses
     fmt::print("{:<18} {:>10.{}f} {:>12.{}f} {:>10.{}f} {:>9}\n", p.name, factor * p.nominal, digits - 2, factor * (p.nominal + p.correction), digits,
                factor * p.sigma, digits, unit);
   }
-  fmt::print("silhouette: {} of {} arcs ({} never lit, {} outliers), rms {:.3f} px{}\n", e.n_edges, g.n_arcs, g.n_dark_arcs, e.n_edge_outliers, e.edge_rms_px,
-             e.edge_noise_factor > 1.5 ? fmt::format(", {:.1f} times their noise: sigmas widened by it", e.edge_noise_factor) : "");
-  fmt::print("highlights: {} of {} views, rms {:.3f} px per coordinate{}\n", e.n_highlights, g.n_views, e.highlight_rms_px,
-             e.highlight_noise_factor > 1.5 ? fmt::format(", {:.1f} times their noise: sigmas widened by it", e.highlight_noise_factor) : "");
+  fmt::print("silhouette: {} of {} arcs ({} never lit, {} outliers), rms {:.3f} px, {:.1f} times the sigma of their fits\n", e.n_edges, g.n_arcs, g.n_dark_arcs,
+             e.n_edge_outliers, e.edge_rms_px, e.edge_noise_factor);
+  fmt::print("highlights: {} of {} views, rms {:.3f} px per coordinate, across their track {:.1f} times the sigma of their fits; turntable: angles scatter by {:.3f} deg\n",
+             e.n_highlights, g.n_views, e.highlight_rms_px, e.highlight_noise_factor, e.angle_sigma_rad / degree);
   for (const auto& [fate, views] : g.rejected) fmt::print("  no highlight in {}: {}\n", names(views), describe(fate));
   for (const auto& o : e.outliers) fmt::print("  outlier: {}: off by {:+.2f} {:+.2f} px, left out\n", o.view, o.residual.x, o.residual.y);
   fmt::print("known to (1 sigma): half vectors {:.4f} deg, lights {:.4f} deg and {:.3f} % of their distance, sphere centre {:.3f} px{}\n", e.half_vector_sigma_rad / degree,

@@ -8,6 +8,7 @@
 #include "libbrdf/brdf.h"
 #include "libbrdf/error.h"
 #include "libbrdf/metrics.h"
+#include "tools/calibrate_geometry.h"
 #include "tools/capture_guard.h"
 #include "tools/command.h"
 #include "tools/drift_report.h"
@@ -74,6 +75,7 @@ void run(const Options& options, const Context& context) {
     against_truth = brdf::compare(*paint, brdf::CookTorranceBrdf(m.fit.model), compare_options);
   }
   fmt::print("{}\n{}\n\n", coverage_text(m.tabulation), light_and_dark_text(m.calibration));
+  if (m.geometry) print_geometry(*m.geometry, m.session);
   fmt::print("{}\n", parameter_table(m.fit, truth ? &truth->model() : nullptr));
   fmt::print("scale: {}\n", m.tabulation.table.absolute_scale ? "absolute, 1/sr" : "relative (no reference of known reflectance)");
   if (const double sigma = m.tabulation.table.scale_sigma; sigma > 0)
@@ -99,6 +101,8 @@ void add_measure(CLI::App& app, Context& context) {
   command->add_option("--data", options->data, "folder of a replay rig's photographs (default: the rig file's)");
   command->add_option("--lobes", options->measure.fit.n_lobes, "lobes to fit")->capture_default_str()->check(CLI::Range(0, 5));
   command->add_option("--max-theta-deg", options->max_theta_deg, "leave out light and camera directions beyond this")->capture_default_str();
+  command->add_flag("--calibrate-geometry", options->measure.calibrate_geometry,
+                    "estimate sphere, turntable axis and lights from the images, as lacquer calibrate geometry does");
   command->add_flag("--resume", options->measure.resume, "go on with a capture that was interrupted in this session folder");
   command->add_flag("--no-checks", options->no_checks, "begin at once, without the check of the camera's exposure");
   command->add_flag("--dry-run", options->dry_run, "only say what it would be: plan, duration, disk space, coverage of the table");

@@ -61,6 +61,10 @@ Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const br
     calib::merge_session(m.session, m.calibration, progress);
     m.seconds.emplace_back("merge", watch.lap());
   }
+  if (options.calibrate_geometry) {
+    m.geometry = calib::estimate_geometry(m.session, m.calibration, {}, {}, progress);
+    m.seconds.emplace_back("geometry", watch.lap());
+  }
   calib::write_calibration(folder / "calibration.json", m.calibration, options.provenance_json);
   m.tabulation = calib::tabulate_session(m.session, m.calibration, options.samples, progress);
   m.tabulation.table.provenance_json = options.provenance_json;

@@ -15,6 +15,7 @@
 #include "libbrdf/metrics.h"
 #include "libbrdf/progress.h"
 #include "libcalib/calibration.h"
+#include "libcalib/geometry_session.h"
 #include "libcalib/rerender.h"
 #include "libcalib/samples.h"
 #include "libfit/fit.h"
@@ -27,6 +28,7 @@ struct MeasureOptions {
   fit::FitOptions fit;
   std::string command_line;
   std::string provenance_json;
+  bool calibrate_geometry = false;  ///< estimate sphere, axis and lights from the merged images before samples are taken
   bool resume = false;  ///< go on with an interrupted capture in the session folder
   std::function<void(acquire::Rig&)> before_frames = {};  ///< as acquire::CaptureOptions
 };
@@ -36,6 +38,7 @@ struct Measurement {
   std::size_t n_views = 0;   ///< of all kinds
   std::size_t n_frames = 0;
   calib::Calibration calibration;
+  std::optional<calib::SessionGeometry> geometry;  ///< if it was estimated
   calib::Tabulation tabulation;
   fit::FitResult fit;
   std::vector<calib::ViewError> view_errors;           ///< the fit against every merged photograph

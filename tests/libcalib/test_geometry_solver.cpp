@@ -1,0 +1,293 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/matrix.hpp>
+#include <random>
+
+#include "libbrdf/error.h"
+#include "libcalib/geometry_solver.h"
+
+namespace lacquer::calib {
+namespace {
+
+constexpr double degree = 3.14159265358979323846 / 180;
+
+/// The quick rig: 480 x 360 pixels, sphere of 153 px, one LED 0.6 m away, 12 degrees up; `pixels`: that many times as fine.
+acquire::RigGeometry nominal_rig(int n_lights = 1, double pixels = 1) {
+  acquire::RigGeometry g;
+  g.camera.width = static_cast<int>(480 * pixels);
+  g.camera.height = static_cast<int>(360 * pixels);
+  g.camera.focal = glm::dvec2(3055 * pixels);
+  g.camera.centre = glm::dvec2(240, 180) * pixels - 0.5;
+  g.camera.distortion = {-0.2, 0.5, 2e-4, -1e-4, 0, 0, 0, 0};
+  g.cam_from_rig = acquire::look_at({0, 0, 1}, {0, 0, 0}, {0, 1, 0});
+  const glm::dvec3 places[] = {{0, 0.124747, 0.586889}, {0, -0.2, 0.55}, {0, 0.35, 0.48}};
+  for (int i = 0; i < n_lights; ++i) {
+    acquire::Light light;
+    light.position = places[i];
+    g.lights.push_back(light);
+  }
+  return g;
+}
+
+struct Draw {
+  std::mt19937_64 random;
+  std::normal_distribution<double> normal{0, 1};
+  explicit Draw(unsigned seed) : random(seed) {}
+  double operator()(double sigma) { return sigma * normal(random); }
+  glm::dvec3 vector(double sigma) { return {(*this)(sigma), (*this)(sigma), (*this)(sigma)}; }
+};
+
+glm::dvec3 turned(const glm::dvec3& p, const glm::dvec3& axis, double a) {
+  return std::cos(a) * p + std::sin(a) * glm::cross(axis, p) + (1 - std::cos(a)) * glm::dot(axis, p) * axis;
+}
+
+struct TrueRig {
+  acquire::RigGeometry geometry;
+  double scale = 1;
+};
+
+/// What a builder with a ruler ends up with: errors drawn from the priors.
+TrueRig built(const acquire::RigGeometry& nominal, const GeometryPriors& p, Draw& draw) {
+  TrueRig t{nominal, 1 + draw(p.turntable_scale)};
+  acquire::RigGeometry& g = t.geometry;
+  const glm::dvec3 sphere = draw.vector(p.sphere_m);
+  g.cam_from_rig.translation += g.cam_from_rig.rotation * sphere;
+  g.axis_direction = turned(turned(g.axis_direction, {1, 0, 0}, draw(p.axis_tilt_rad)), {0, 0, 1}, draw(p.axis_tilt_rad));
+  g.axis_point += glm::dvec3(draw(p.axis_point_m), 0, draw(p.axis_point_m)) - sphere;
+  const double zero = draw(p.zero_angle_rad);
+  for (auto& light : g.lights) {
+    const glm::dvec3 place = light.position * (1 + draw(p.arm)) + draw.vector(p.light_m) - sphere;
+    light.position = g.axis_point + turned(place - g.axis_point, g.axis_direction, zero);
+  }
+  return t;
+}
+
+std::vector<EdgePoint> edges_of(const acquire::RigGeometry& g, double sigma, double from, double to, int n, Draw& draw, double offset = 0) {
+  std::vector<EdgePoint> edges;
+  const glm::dvec2 centre = *g.camera.project(g.cam_from_rig.translation);
+  for (int k = 0; k < n; ++k) {
+    const double a = from + (to - from) * k / n;
+    double low = 0, high = 1200;  // bisection along a line from the centre: independent of the closed form under test
+    for (int i = 0; i < 60; ++i) {
+      const double middle = 0.5 * (low + high);
+      (acquire::trace(g, centre + middle * glm::dvec2(std::cos(a), std::sin(a))) ? low : high) = middle;
+    }
+    edges.push_back({centre + (low + offset + draw(sigma)) * glm::dvec2(std::cos(a), std::sin(a)), sigma});
+  }
+  return edges;
+}
+
+std::vector<Highlight> highlights_of(const TrueRig& t, double sigma, double from_deg, double to_deg, double step_deg, Draw& draw) {
+  std::vector<Highlight> found;
+  for (std::size_t light = 0; light < t.geometry.lights.size(); ++light)
+    for (double a = from_deg; a <= to_deg; a += step_deg) {
+      const auto pixel = mirror_pixel(t.geometry, t.geometry.place_light(light, t.scale * a * degree).position);
+      if (!pixel) continue;
+      found.push_back({"L" + std::to_string(found.size()), light, a * degree, *pixel + glm::dvec2(draw(sigma), draw(sigma)), sigma * sigma, 0, sigma * sigma});
+    }
+  return found;
+}
+
+/// Half vector against normal, and light direction: RMS over pixels of the sphere and views.
+struct Errors {
+  double half = 0, light = 0, distance = 0, centre_px = 0;
+};
+Errors errors(const GeometryEstimate& e, const TrueRig& t) {
+  double half = 0, light = 0, distance = 0, n = 0, n_views = 0;
+  const int step = e.geometry.camera.height / 30;
+  for (double a = 0; a <= 120; a += 10) {
+    const glm::dvec3 estimated = e.geometry.place_light(0, e.turntable_scale * a * degree).position;
+    const glm::dvec3 truth = t.geometry.place_light(0, t.scale * a * degree).position;
+    light += std::pow(glm::length(glm::normalize(estimated) - glm::normalize(truth)), 2);
+    distance += std::pow(glm::length(estimated) / glm::length(truth) - 1, 2);
+    ++n_views;
+    for (int y = 0; y < e.geometry.camera.height; y += step)
+      for (int x = 0; x < e.geometry.camera.width; x += step) {
+        const auto p = acquire::trace(e.geometry, {x, y}), q = acquire::trace(t.geometry, {x, y});
+        if (!p || !q || glm::dot(q->normal, q->wo) < 0.1) continue;
+        const glm::dvec3 wi = glm::normalize(estimated - p->position), true_wi = glm::normalize(truth - q->position);
+        if (glm::dot(true_wi, q->normal) < 0.1) continue;
+        half += std::pow(glm::length(glm::normalize(wi + p->wo) - p->normal - glm::normalize(true_wi + q->wo) + q->normal), 2);
+        ++n;
+      }
+  }
+  const glm::dvec2 c = *e.geometry.camera.project(e.geometry.cam_from_rig.translation), d = *t.geometry.camera.project(t.geometry.cam_from_rig.translation);
+  return {std::sqrt(half / n) / degree, std::sqrt(light / n_views) / degree, std::sqrt(distance / n_views), glm::length(c - d)};
+}
+
+TEST(GeometrySolver, TheMirrorPixelObeysTheLawOfReflection) {
+  const auto g = nominal_rig();
+  for (double a = -150; a <= 150; a += 7) {
+    const glm::dvec3 light = g.place_light(0, a * degree).position;
+    const auto pixel = mirror_pixel(g, light);
+    ASSERT_TRUE(pixel) << a;
+    const auto point = acquire::trace(g, *pixel);
+    ASSERT_TRUE(point) << a;
+    const glm::dvec3 wi = glm::normalize(light - point->position);
+    // Towards the silhouette the traced point moves as the root of the pixel's rounding error.
+    EXPECT_LT(glm::length(glm::normalize(wi + point->wo) - point->normal), 1e-9) << a;
+  }
+  EXPECT_FALSE(mirror_pixel(g, {0, 0, 0.04})) << "a light inside the sphere";
+  EXPECT_FALSE(mirror_pixel(g, {0, 0, -0.6})) << "a light behind the sphere";
+}
+
+TEST(GeometrySolver, TheSilhouetteDistanceIsThatOfTheTracedSphere) {
+  auto g = nominal_rig();
+  g.cam_from_rig.translation += glm::dvec3(0.01, -0.02, 0.05);
+  Draw draw(1);
+  for (const EdgePoint& e : edges_of(g, 1e-12, 0, 360 * degree, 50, draw)) EXPECT_NEAR(*silhouette_distance(g, e.pixel), 0, 1e-6);
+  const glm::dvec2 centre = *g.camera.project(g.cam_from_rig.translation);
+  EXPECT_LT(*silhouette_distance(g, centre + glm::dvec2(100, 0)), -40);
+  EXPECT_GT(*silhouette_distance(g, centre + glm::dvec2(160, 0)), 5);
+}
+
+TEST(GeometrySolver, WithoutNoiseABadlyBuiltRigIsFoundExactly) {
+  const auto nominal = nominal_rig();
+  GeometryPriors priors;
+  Draw draw(3);
+  TrueRig t = built(nominal, priors, draw);
+  auto e = solve_geometry(nominal, edges_of(t.geometry, 1e-5, 0, 360 * degree, 180, draw), highlights_of(t, 1e-5, 0, 150, 3, draw), priors);
+  const Errors found = errors(e, t);
+  EXPECT_TRUE(e.converged);
+  EXPECT_LT(found.half, 1e-4);
+  EXPECT_LT(found.light, 1e-4);
+  EXPECT_LT(found.distance, 1e-4);
+  EXPECT_LT(found.centre_px, 1e-4);
+}
+
+/// A rig of 1363 x 1022 pixels with a builder's errors. Highlights are found to 0.01 px or better (test_highlights.cpp).
+TEST(GeometrySolver, OverManyRigsTheErrorBarsHoldTheTruth) {
+  constexpr int n_rigs = 12;
+  const GeometryPriors priors;
+  int inside = 0, total = 0;
+  double half = 0, light = 0, distance = 0, centre = 0, pull2 = 0;
+  for (unsigned seed = 0; seed < n_rigs; ++seed) {
+    Draw draw(seed + 100);
+    const auto nominal = nominal_rig(2, 2.84);
+    const TrueRig t = built(nominal, priors, draw);
+    // Edges all off by the same, as a prior says they may be, and on the lit part only.
+    const auto edges = edges_of(t.geometry, 0.05, -60 * degree, 120 * degree, 90, draw, draw(priors.edge_offset_px));
+    const auto e = solve_geometry(nominal, edges, highlights_of(t, 0.01, 0, 150, 2.5, draw), priors);
+    ASSERT_TRUE(e.converged) << seed;
+    EXPECT_TRUE(e.outliers.empty()) << seed;
+    const Errors found = errors(e, t);
+    half += found.half * found.half / n_rigs;
+    light += found.light * found.light / n_rigs;
+    distance += found.distance * found.distance / n_rigs;
+    centre += found.centre_px * found.centre_px / n_rigs;
+    // Pulls in numbers that do not depend on how the unknowns were chosen: sphere's centre, and the axis' direction.
+    const glm::dvec3 sphere = glm::transpose(nominal.cam_from_rig.rotation) * (t.geometry.cam_from_rig.translation - nominal.cam_from_rig.translation);
+    const double truth[] = {sphere.x, sphere.y, sphere.z, t.geometry.axis_direction.z, -t.geometry.axis_direction.x, t.scale - 1};
+    const double estimate[] = {e.uncertainty.parameters[0].correction, e.uncertainty.parameters[1].correction, e.uncertainty.parameters[2].correction,
+                               e.geometry.axis_direction.z, -e.geometry.axis_direction.x, e.turntable_scale - 1};
+    const std::size_t index[] = {0, 1, 2, 4, 5, 9};
+    for (std::size_t k = 0; k < 6; ++k) {
+      const double sigma = e.uncertainty.parameters[index[k]].sigma;
+      ASSERT_GT(sigma, 0);
+      EXPECT_LT(sigma, 0.9 * e.uncertainty.parameters[index[k]].prior_sigma) << e.uncertainty.parameters[index[k]].name << ": learnt nothing";
+      const double pull = (estimate[k] - truth[k]) / sigma;
+      pull2 += pull * pull;
+      inside += std::abs(pull) < 1.96;
+      ++total;
+    }
+  }
+  std::cout << "rms over " << n_rigs << " rigs: half vector " << std::sqrt(half) << " deg, light " << std::sqrt(light) << " deg, distance "
+            << 100 * std::sqrt(distance) << " %, centre " << std::sqrt(centre) << " px; inside 95 % bounds " << 100.0 * inside / total
+            << " %, pull rms " << std::sqrt(pull2 / total) << "\n";
+  EXPECT_LT(std::sqrt(half), 0.01);
+  EXPECT_LT(std::sqrt(light), 0.02);
+  EXPECT_LT(std::sqrt(distance), 0.003);
+  EXPECT_LT(std::sqrt(centre), 0.1);
+  // 72 pulls, those of one rig correlated: 95 % +- 2 to 3 %, and their RMS 1 +- 0.1.
+  EXPECT_GT(inside, 0.89 * total);
+  EXPECT_GT(pull2 / total, 0.6);
+  EXPECT_LT(pull2 / total, 1.5);
+}
+
+TEST(GeometrySolver, AFalseHighlightIsLeftOutAndNamed) {
+  const auto nominal = nominal_rig();
+  Draw draw(5);
+  const TrueRig t = built(nominal, {}, draw);
+  auto highlights = highlights_of(t, 0.02, 0, 120, 5, draw);
+  highlights[7].pixel += glm::dvec2(3, -2);
+  auto edges = edges_of(t.geometry, 0.05, 0, 180 * degree, 90, draw);
+  for (std::size_t k = 0; k < 6; ++k) edges[10 + k].pixel += glm::dvec2(8, 0);  // the arm before the limb
+  const auto e = solve_geometry(nominal, edges, highlights);
+  ASSERT_EQ(e.outliers.size(), 1u);
+  EXPECT_EQ(e.outliers[0].view, highlights[7].view);
+  EXPECT_NEAR(e.outliers[0].residual.x, 3, 0.2);
+  EXPECT_NEAR(e.outliers[0].residual.y, -2, 0.2);
+  EXPECT_EQ(e.n_edge_outliers, 6u);
+  EXPECT_LT(errors(e, t).half, 3 * e.half_vector_sigma_rad / degree);
+}
+
+TEST(GeometrySolver, LargerNoiseThanStatedWidensTheErrorBars) {
+  const auto nominal = nominal_rig();
+  Draw a(6), b(6);
+  const TrueRig t = built(nominal, {}, a), same = built(nominal, {}, b);
+  auto highlights = highlights_of(t, 0.1, 0, 120, 2, a);
+  for (Highlight& h : highlights) h.xx = h.yy = 0.02 * 0.02;  // five times too good
+  const auto edges = edges_of(t.geometry, 0.05, 0, 360 * degree, 90, a);
+  const auto e = solve_geometry(nominal, edges, highlights);
+  EXPECT_NEAR(e.highlight_noise_factor, 5, 0.7);
+  EXPECT_NEAR(e.highlight_rms_px, 0.1, 0.015);
+}
+
+bool mentions(const GeometryEstimate& e, const std::string& text) {
+  for (const auto& w : e.warnings)
+    if (w.find(text) != std::string::npos) return true;
+  return false;
+}
+
+TEST(GeometrySolver, ATurntableThatMissesItsAnglesIsToldFromNoise) {
+  const auto nominal = nominal_rig();
+  Draw draw(8);
+  const TrueRig t = built(nominal, {}, draw);
+  auto highlights = highlights_of(t, 0.004, 0, 130, 1, draw);
+  for (Highlight& h : highlights) h.turntable_angle += draw(0.02 * degree);
+  const auto e = solve_geometry(nominal, edges_of(t.geometry, 0.05, 0, 360 * degree, 90, draw), highlights);
+  EXPECT_NEAR(e.angle_sigma_rad / degree, 0.02, 0.004);
+  EXPECT_NEAR(e.highlight_noise_factor, 1, 0.25);
+  EXPECT_TRUE(e.outliers.empty());
+}
+
+TEST(GeometrySolver, WhatTheImagesDoNotDetermineIsSaid) {
+  const auto nominal = nominal_rig(1, 2.84);
+  Draw draw(7);
+  const TrueRig t = built(nominal, {}, draw);
+  const auto edges = edges_of(t.geometry, 0.05, 0, 360 * degree, 90, draw);
+  const auto good = solve_geometry(nominal, edges, highlights_of(t, 0.003, 0, 120, 3, draw));
+  for (const auto& w : good.warnings) ADD_FAILURE() << w;
+
+  const auto few = solve_geometry(nominal, edges, highlights_of(t, 0.03, 40, 50, 5, draw));
+  EXPECT_TRUE(mentions(few, "too few")) << few.warnings.size();
+  EXPECT_TRUE(mentions(few, "the images do not determine"));
+  EXPECT_GT(few.distance_sigma, 2.5 * good.distance_sigma) << "all that is left is the ruler's 2 %";
+
+  const auto none = solve_geometry(nominal, edges, {});
+  EXPECT_TRUE(mentions(none, "no highlight"));
+  EXPECT_LT(none.centre_sigma_px, 0.1);
+
+  const auto blind = solve_geometry(nominal, {}, highlights_of(t, 0.03, 0, 120, 3, draw));
+  EXPECT_TRUE(mentions(blind, "no silhouette"));
+  EXPECT_GT(blind.centre_sigma_px, good.centre_sigma_px);
+}
+
+TEST(GeometrySolver, BadInputIsRefused) {
+  auto rig = nominal_rig();
+  EXPECT_THROW(solve_geometry(rig, {}, {}), Error);
+  EXPECT_THROW(solve_geometry(rig, {{{100, 100}, 0}}, {}), Error) << "sigma 0";
+  EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 3, 0, {200, 100}}}), Error) << "no such light";
+  EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 0, 0, {NAN, 100}}}), Error);
+  EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 0, 0, {200, 100}, 1, 2, 1}}), Error) << "no covariance";
+  rig.lights[0].distant = true;
+  EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 0, 0, {200, 100}}}), Error);
+  rig = nominal_rig();
+  rig.camera.projection = acquire::CameraModel::Projection::orthographic;
+  EXPECT_THROW(solve_geometry(rig, {{{100, 100}, 0.1}}, {}), Error);
+}
+
+}  // namespace
+}  // namespace lacquer::calib
