@@ -31,9 +31,20 @@ struct Gloss {
   double diffuse = 0.02, height = 2, m = 0.013;
 };
 
-/// Mean over n x n rays per pixel, relative noise; all channels alike but for a factor by channel.
+/// Does one ray stand for the pixel: no silhouette and no lobe near?
+inline bool plain(const acquire::RigGeometry& g, const acquire::PlacedLight& light, const glm::dvec2& pixel) {
+  const auto centre = acquire::trace(g, pixel);
+  if (!centre) return !acquire::trace(g, pixel + glm::dvec2(2, 0)) && !acquire::trace(g, pixel - glm::dvec2(2, 0)) &&
+                      !acquire::trace(g, pixel + glm::dvec2(0, 2)) && !acquire::trace(g, pixel - glm::dvec2(0, 2));
+  const auto lit = acquire::illuminate(light, *centre);
+  const double to_camera = glm::dot(centre->normal, centre->wo);
+  return to_camera > 0.3 && (!lit || glm::dot(glm::normalize(lit->wi + centre->wo), centre->normal) < 0.97);
+}
+
+/// Mean over n x n rays per pixel where it matters, relative noise; all channels alike but for a factor by channel.
 inline calib::RadianceImage photograph(const acquire::RigGeometry& g, double angle, const Gloss& gloss, double noise, int n, unsigned seed,
                                        acquire::PixelLayout layout = acquire::PixelLayout::mono) {
+  const int n_fine = n;
   std::mt19937_64 random(seed);
   std::normal_distribution<double> normal(0, 1);
   const acquire::PlacedLight light = g.place_light(0, angle);
@@ -41,6 +52,7 @@ inline calib::RadianceImage photograph(const acquire::RigGeometry& g, double ang
   const double factor[] = {0.7, 1.0, 0.8};
   for (int y = 0; y < g.camera.height; ++y)
     for (int x = 0; x < g.camera.width; ++x) {
+      n = plain(g, light, {x, y}) ? 1 : n_fine;
       double sum = 0;
       for (int k = 0; k < n * n; ++k) {
         const auto p = acquire::trace(g, {x + (k % n + 0.5) / n - 0.5, y + (k / n + 0.5) / n - 0.5});
