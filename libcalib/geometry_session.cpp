@@ -68,7 +68,6 @@ SessionGeometry estimate_geometry(const acquire::Session& session, Calibration& 
                                                 "sphere of the same radius in its place, or keep the rig file's geometry (--from-rig)",
                                                 session.folder.string(), views.size(), counts_text(result.rejected)));
     result.estimate = solve_geometry(nominal, outline.edges, result.highlights, priors);
-    const auto before = trial.geometry;
     trial.geometry = result.estimate.geometry;
     trial.turntable_scale = result.estimate.turntable_scale;
   }

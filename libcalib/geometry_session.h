@@ -22,7 +22,7 @@ struct SessionGeometry {
 
 /// Sphere, axis and lights from the merged images of a session; the result also goes into `calibration` (geometry, turntable_scale,
 /// geometry_uncertainty, geometry_source). Begins with the rig file's geometry, whatever `calibration` has. Highlights are measured again
-/// with the geometry they gave, until that changes nothing. Throws Error{file} where a radiance image is missing, Error{input} where the
+/// with the geometry they gave, three times in all. Throws Error{file} where a radiance image is missing, Error{input} where the
 /// rig cannot be estimated or neither silhouette nor highlights are seen: what to do is in the text.
 SessionGeometry estimate_geometry(const acquire::Session& session, Calibration& calibration, const GeometryPriors& priors,
                                   const HighlightOptions& highlight_options, const Progress& progress);
