@@ -19,7 +19,7 @@ namespace lacquer::brdf {
 /// Our table: EXR, 16200 x 90 pixels (x = phi_d + 180 theta_d, y = theta_h), ZIPS. Channels per colour C in {R, G, B} or {Y}:
 /// C.mean, C.variance, C.theta_h, C.theta_d, C.phi_d, C.footprint_along, C.footprint_across,
 /// C.footprint_mixed (float), C.count, C.origin (uint), everything 0 in empty cells.
-/// Header attributes "lacquer.version" (int), "lacquer.absolute_scale" (int), "lacquer.scale_sigma" (double), "lacquer.provenance" (string, JSON).
+/// C.origin holds CellOrigin's values. Header attributes "lacquer.version" (int, 2; files of version 1, without clipped cells, are read), "lacquer.absolute_scale" (int), "lacquer.scale_sigma" (double), "lacquer.provenance" (string, JSON).
 /// The writer refuses a table that the reader would (NaN, negative variance, values in empty cells) with Error{input}.
 void write_table(const std::filesystem::path& file, const HalfAngleTable& table);
 HalfAngleTable read_table(const std::filesystem::path& file);

@@ -78,7 +78,7 @@ void write_merl(const std::filesystem::path& file, const HalfAngleTable& table) 
   for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
     bool writable = TableGrid::reachable(TableGrid::cell(i));
     // A negative mean (signal below the noise) cannot be told from "empty" in this format: the whole cell becomes empty.
-    for (const auto& channel : table.channels) writable = writable && channel.origin[i] != CellOrigin::empty && channel.mean[i] >= 0;
+    for (const auto& channel : table.channels) writable = writable && has_value(channel.origin[i]) && channel.mean[i] >= 0;
     if (!writable) continue;
     for (std::size_t plane = 0; plane < 3; ++plane)
       planes[plane * TableGrid::n_cells + i] = table.channels[n_channels == 3 ? plane : 0].mean[i] / merl_scale[plane];

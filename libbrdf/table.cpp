@@ -96,17 +96,33 @@ void TableAccumulator::add(std::size_t channel, const HalfDiff& c, double value,
   const TableGrid::Cell cell = TableGrid::cell(c);
   const HalfDiff centre = TableGrid::centre(cell);
   Sums& s = sums_[channel][TableGrid::index(cell)];
+  if (s.bounds) s = {};
+  add(s, {c.theta_h - centre.theta_h, c.theta_d - centre.theta_d, fold_phi_d(c.phi_d) - centre.phi_d}, value, variance, weight, footprint);
+  ++n_samples_;
+}
+
+void TableAccumulator::add_bound(std::size_t channel, const HalfDiff& c, double bound, double variance, double weight,
+                                 const Footprint<double>& footprint) {
+  assert(weight > 0 && std::isfinite(bound) && variance >= 0);
+  const TableGrid::Cell cell = TableGrid::cell(c);
+  const HalfDiff centre = TableGrid::centre(cell);
+  Sums& s = sums_[channel][TableGrid::index(cell)];
+  if (s.count > 0 && !s.bounds) return;
+  s.bounds = true;
+  add(s, {c.theta_h - centre.theta_h, c.theta_d - centre.theta_d, fold_phi_d(c.phi_d) - centre.phi_d}, bound, variance, weight, footprint);
+}
+
+void TableAccumulator::add(Sums& s, const HalfDiff& offset, double value, double variance, double weight, const Footprint<double>& footprint) {
   s.weight += weight;
   s.weighted_value += weight * value;
   s.weighted_variance += weight * weight * variance;
-  s.theta_h += static_cast<float>(weight * (c.theta_h - centre.theta_h));
-  s.theta_d += static_cast<float>(weight * (c.theta_d - centre.theta_d));
-  s.phi_d += static_cast<float>(weight * (fold_phi_d(c.phi_d) - centre.phi_d));
+  s.theta_h += static_cast<float>(weight * offset.theta_h);
+  s.theta_d += static_cast<float>(weight * offset.theta_d);
+  s.phi_d += static_cast<float>(weight * offset.phi_d);
   s.footprint.along += static_cast<float>(weight * footprint.along);
   s.footprint.across += static_cast<float>(weight * footprint.across);
   s.footprint.mixed += static_cast<float>(weight * footprint.mixed);
   ++s.count;
-  ++n_samples_;
 }
 
 HalfAngleTable TableAccumulator::table(bool symmetrise) const {
@@ -126,7 +142,7 @@ HalfAngleTable TableAccumulator::table(bool symmetrise) const {
       t.footprint_along[i] = static_cast<float>(s.footprint.along / s.weight);
       t.footprint_across[i] = static_cast<float>(s.footprint.across / s.weight);
       t.footprint_mixed[i] = static_cast<float>(s.footprint.mixed / s.weight);
-      t.origin[i] = CellOrigin::measured;
+      t.origin[i] = s.bounds ? CellOrigin::clipped : CellOrigin::measured;
     }
     if (!symmetrise) continue;
     for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
@@ -168,7 +184,7 @@ std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d, const Footpri
 
   for (std::size_t channel = 0; channel < table_.channels.size(); ++channel) {
     const auto& values = table_.channels[channel];
-    if (values.origin[nearest] == CellOrigin::empty) return std::nullopt;
+    if (!has_value(values.origin[nearest])) return std::nullopt;
     double sum = 0, weights = 0;
     for (int corner = 0; interpolate_ && corner < 8; ++corner) {
       const int dh = corner & 1, dt = (corner >> 1) & 1, dp = corner >> 2;
@@ -178,7 +194,7 @@ std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d, const Footpri
       const TableGrid::Cell cell{std::clamp(h0 + dh, 0, TableGrid::n_theta_h - 1), std::clamp(t0 + dt, 0, TableGrid::n_theta_d - 1),
                                  (p0 + dp + TableGrid::n_phi_d) % TableGrid::n_phi_d};
       const std::size_t i = TableGrid::index(cell);
-      if (values.origin[i] == CellOrigin::empty) continue;
+      if (!has_value(values.origin[i])) continue;
       sum += weight * values.mean[i];
       weights += weight;
     }

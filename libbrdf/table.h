@@ -43,18 +43,28 @@ struct TableGrid {
   static bool reachable(const Cell& c, double min_cosine = 0.0);
 };
 
-/// Where a cell's value comes from. Only `measured` and `symmetric` cells may enter a fit.
+/// Where a cell's value comes from. Only `measured` cells enter a fit as values, `clipped` ones as lower bounds.
 enum class CellOrigin : std::uint8_t {
   empty = 0,
   measured = 1,   ///< samples fell into this cell
   symmetric = 2,  ///< taken from the mirror cell phi_d -> pi - phi_d (isotropic, mirror-symmetric paint)
   filled = 3,     ///< interpolated from neighbours
   modelled = 4,   ///< from a fit
+  clipped = 5,    ///< every sample was clipped: `mean` is a lower bound of the value, not a value
 };
 
+/// The cell says what the BRDF is there, whatever the source; an empty cell says nothing, a clipped one only a bound.
+constexpr bool has_value(CellOrigin origin) { return origin != CellOrigin::empty && origin != CellOrigin::clipped; }
+
 /// One colour channel of a table, each vector of length TableGrid::n_cells; entries of empty cells are 0.
+///
+/// Clipped samples ("at least this") become bounds: a cell that has nothing else is `clipped`, its mean the irradiance-weighted mean of
+/// the samples' lower bounds, its variance the noise of that, its count and coordinates those of the clipped samples. So the BRDF at
+/// these coordinates is at least `mean`, which a one-sided residual max(0, mean - f) / sigma takes into a fit. A cell with any other sample
+/// is `measured` by those alone: their mean coordinates and footprints are their own, so leaving out the clipped ones moves the value
+/// and the place where it holds together. Mirror symmetry passes values on, never bounds.
 struct TableChannel {
-  std::vector<float> mean;          ///< 1/sr; may be negative where the signal is below the noise
+  std::vector<float> mean;          ///< 1/sr; may be negative where the signal is below the noise; `clipped`: a lower bound
   std::vector<float> variance;      ///< of the mean, (1/sr)^2; 0 means exact (synthetic)
   std::vector<std::uint32_t> count; ///< samples in the cell
   std::vector<float> theta_h, theta_d, phi_d;  ///< weighted mean coordinates of the samples, radians, phi_d in [0, pi)
@@ -87,6 +97,8 @@ class TableAccumulator {
   /// the ratio of summed radiance to summed irradiance, which is unbiased whatever the noise. `variance` of `value`, (1/sr)^2.
   void add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight,
            const Footprint<double>& footprint = {});
+  /// One clipped measurement: f_r is at least `bound`, whose noise has `variance`. See TableChannel.
+  void add_bound(std::size_t channel, const HalfDiff& c, double bound, double variance, double weight, const Footprint<double>& footprint = {});
 
   /// Mirror symmetry f(phi_d) = f(pi - phi_d): with `symmetrise`, empty cells take the mirror cell's value, flagged `symmetric`.
   HalfAngleTable table(bool symmetrise) const;
@@ -99,13 +111,15 @@ class TableAccumulator {
     float theta_h = 0, theta_d = 0, phi_d = 0;                      // of w * (coordinate - centre)
     Footprint<float> footprint;                                     // of w * footprint
     std::uint32_t count = 0;
+    bool bounds = false;                                            // sums of clipped samples, dropped at the first other one
   };
+  static void add(Sums& sums, const HalfDiff& offset, double value, double variance, double weight, const Footprint<double>& footprint);
   std::vector<std::vector<Sums>> sums_;
   std::size_t n_samples_ = 0;
 };
 
-/// Table behind the common interface. Lookup: trilinear in (theta_h index, theta_d, phi_d) over the non-empty corner cells,
-/// nullopt where the nearest cell is empty.
+/// Table behind the common interface. Lookup: trilinear in (theta_h index, theta_d, phi_d) over the corner cells that have a
+/// value, nullopt where the nearest cell has none.
 class TableBrdf final : public Brdf {
  public:
   /// Throws Error{input} unless the table has 1 or 3 channels.

@@ -26,7 +26,7 @@ namespace {
 
 constexpr int width = TableGrid::n_phi_d * TableGrid::n_theta_d;
 constexpr int height = TableGrid::n_theta_h;
-constexpr int format_version = 1;
+constexpr int format_version = 2;  // 1: no clipped cells, otherwise the same
 constexpr float float_pi = 3.14159274f;  // the float next to pi, a hair above it
 constexpr std::array<const char*, 3> rgb_names{"R", "G", "B"};
 
@@ -153,8 +153,8 @@ HalfAngleTable read_exr(const std::filesystem::path& file) {
   Imf::InputFile in(file.c_str(), threads());
   const Imf::Header& header = in.header();
   const int version = attribute<Imf::IntAttribute>(file, header, "lacquer.version");
-  if (version != format_version)
-    fail_file(file, fmt::format("lacquer.version: expected {}, got {}: written by another version of Lacquer", format_version, version));
+  if (version < 1 || version > format_version)
+    fail_file(file, fmt::format("lacquer.version: expected at most {}, got {}: written by another version of Lacquer", format_version, version));
 
   HalfAngleTable table(header.channels().findChannel("Y.mean") ? 1 : 3);
   table.absolute_scale = attribute<Imf::IntAttribute>(file, header, "lacquer.absolute_scale") != 0;
@@ -172,7 +172,7 @@ HalfAngleTable read_exr(const std::filesystem::path& file) {
   in.setFrameBuffer(buffer);
   in.readPixels(0, height - 1);
 
-  constexpr auto last_origin = static_cast<std::uint32_t>(CellOrigin::modelled);
+  const auto last_origin = static_cast<std::uint32_t>(version == 1 ? CellOrigin::modelled : CellOrigin::clipped);
   for (std::size_t c = 0; c < names.size(); ++c) {
     auto& channel = table.channels[c];
     for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {

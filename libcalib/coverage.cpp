@@ -23,8 +23,7 @@ Tabulation predict_coverage(const acquire::RigDescription& rig, const SampleOpti
     const acquire::PlannedView& view = rig.plan[v];
     if (view.kind != acquire::ViewKind::measurement) continue;  // references and dark views are no samples
     counts += sampler.sample_view(image, {.light = static_cast<std::size_t>(view.light), .turntable_angle = view.turntable_angle}, [&](std::span<const Sample> samples) {
-      for (const Sample& s : samples)
-        accumulator.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint);
+      for (const Sample& s : samples) add_sample(accumulator, s);
     });
     if (progress) progress("coverage", v + 1, rig.plan.size());
   }

@@ -122,6 +122,14 @@ void SampleOptions::validate() const {
   if (!(edge_px >= 0 && edge_px < 1000)) throw Error(ErrorCode::usage, "edge_px: expected a number of pixels >= 0");
 }
 
+void add_sample(brdf::TableAccumulator& accumulator, const Sample& s) {
+  const auto channel = static_cast<std::size_t>(s.channel);
+  if (s.clipped)
+    accumulator.add_bound(channel, s.coordinates, s.value, s.variance, s.weight, s.footprint);
+  else
+    accumulator.add(channel, s.coordinates, s.value, s.variance, s.weight, s.footprint);
+}
+
 SampleCounts& SampleCounts::operator+=(const SampleCounts& other) {
   used += other.used;
   clipped += other.clipped;
@@ -211,28 +219,28 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, const Illumination
           }
           const PixelFlag flag = image.flags[value];
           fates[slot] = flag == PixelFlag::clipped ? Fate::clipped : flag == PixelFlag::invalid ? Fate::invalid : Fate::used;
-          if (fates[slot] != Fate::used) continue;
+          if (fates[slot] == Fate::invalid) continue;
           const int x = static_cast<int>(pixel.index % static_cast<std::size_t>(camera.width));
           const int y = static_cast<int>(pixel.index / static_cast<std::size_t>(camera.width));
           const int channel = acquire::channel_of(layout_, x, y, static_cast<int>(k));
           // f_r = radiance / irradiance
           const double scale = 1.0 / (calibration_.dn_per_radiance[channel] * pixel.transmission * lit->irradiance[channel]);
           const double weight = lit->irradiance[channel] / (placed.intensity[channel] * reference);
-          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, footprint, channel};
+          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, footprint, channel,
+                         fates[slot] == Fate::clipped};
         }
       }
     });
     std::size_t kept = 0;
     for (std::size_t slot = 0; slot < n * per_pixel; ++slot) {
       switch (fates[slot]) {
-        case Fate::used: slots[kept++] = slots[slot]; break;
-        case Fate::clipped: ++counts.clipped; break;
+        case Fate::used: ++counts.used; slots[kept++] = slots[slot]; break;
+        case Fate::clipped: ++counts.clipped; slots[kept++] = slots[slot]; break;
         case Fate::invalid: ++counts.invalid; break;
         case Fate::grazing: ++counts.grazing; break;
         case Fate::blurred: ++counts.blurred; break;
       }
     }
-    counts.used += kept;
     sink(std::span<const Sample>(slots.data(), kept));
   }
   return counts;
@@ -281,8 +289,7 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
     const auto& view = session.views[views[i]];
     const RadianceImage image = read_radiance(session.radiance_path(view));
     counts += sampler.sample_view(image, illumination_of(view, calibration), [&](std::span<const Sample> samples) {
-      for (const Sample& s : samples)
-        accumulator.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint);
+      for (const Sample& s : samples) add_sample(accumulator, s);
     });
     if (progress) progress("tabulate", i + 1, views.size());
   }

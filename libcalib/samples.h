@@ -31,10 +31,16 @@ struct Sample {
   double weight;    ///< irradiance relative to the light's irradiance on axis, cosine included
   brdf::Footprint<double> footprint;  ///< of pixel, lens blur and emitter
   int channel;      ///< 0 R or Y, 1 G, 2 B
+  bool clipped = false;  ///< in every exposure: `value` is a lower bound
 };
 
+/// Into its cell, as a value or as a bound.
+void add_sample(brdf::TableAccumulator& accumulator, const Sample& sample);
+
 struct SampleCounts {
-  std::size_t used = 0, clipped = 0, invalid = 0, masked = 0, grazing = 0, blurred = 0;
+  std::size_t used = 0;     ///< values
+  std::size_t clipped = 0;  ///< bounds
+  std::size_t invalid = 0, masked = 0, grazing = 0, blurred = 0;
   SampleCounts& operator+=(const SampleCounts& other);
 };
 
@@ -65,7 +71,8 @@ class Sampler {
   /// Called with consecutive pieces of a view's samples, in pixel order whatever the number of threads.
   using Sink = std::function<void(std::span<const Sample>)>;
 
-  /// Samples of one view, computed in parallel, delivered in order. Clipped and invalid values are counted, not delivered.
+  /// Samples of one view, computed in parallel, delivered in order. Clipped values are delivered as
+  /// bounds, invalid ones only counted.
   SampleCounts sample_view(const RadianceImage& image, const Illumination& lighting, const Sink& sink) const;
 
   /// Radiance (linearised DN per second) that `paint`, seen through the footprint of each pixel, would give in each value of the image;

@@ -57,7 +57,7 @@ bool in_hemisphere(const brdf::HalfDiff& c) {
 /// again at the same place.
 bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, double safe_angle, const brdf::TableChannel* previous, bool& previous_grazing,
             LeftOut& left_out) {
-  if (t.origin[i] == CellOrigin::empty) return false;
+  if (!has_value(t.origin[i])) return false;
   if (t.origin[i] != CellOrigin::measured) {
     ++left_out.not_measured;
     return false;

@@ -70,7 +70,7 @@ std::string slices(const Measurement& m) {
   for (int h = 0; h < TableGrid::n_theta_h; ++h)
     for (int d = 0; d < TableGrid::n_theta_d; ++d) {
       const std::size_t i = TableGrid::index(TableGrid::Cell{h, d, TableGrid::n_phi_d / 2});
-      if (channel.origin[i] == brdf::CellOrigin::empty || !(channel.mean[i] > 0)) continue;
+      if (!brdf::has_value(channel.origin[i]) || !(channel.mean[i] > 0)) continue;
       low = std::min(low, std::log10(static_cast<double>(channel.mean[i])));
       high = std::max(high, std::log10(static_cast<double>(channel.mean[i])));
     }
@@ -78,7 +78,7 @@ std::string slices(const Measurement& m) {
 
   const auto table = [&](const TableGrid::Cell& c) -> std::optional<double> {
     const std::size_t i = TableGrid::index(c);
-    if (channel.origin[i] == brdf::CellOrigin::empty || !(channel.mean[i] > 0)) return std::nullopt;
+    if (!brdf::has_value(channel.origin[i]) || !(channel.mean[i] > 0)) return std::nullopt;
     return std::log10(static_cast<double>(channel.mean[i]));
   };
   const auto fit = [&](const TableGrid::Cell& c) -> std::optional<double> {

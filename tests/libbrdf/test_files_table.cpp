@@ -31,7 +31,7 @@ HalfAngleTable random_table(std::size_t n_channels) {
       channel.theta_h[i] = static_cast<float>(centre.theta_h);
       channel.theta_d[i] = static_cast<float>(centre.theta_d);
       channel.phi_d[i] = static_cast<float>(centre.phi_d);
-      channel.origin[i] = static_cast<CellOrigin>(1 + rng() % 4);
+      channel.origin[i] = static_cast<CellOrigin>(1 + rng() % 5);
     }
   auto& first = table.channels[0];
   first.origin[0] = CellOrigin::measured;
@@ -161,7 +161,7 @@ TEST(TableExr, NamesChannelAndCellOfABadValue) {
 
 TEST(TableExr, RefusesUnknownOriginsAndValuesInEmptyCells) {
   DamagedTable table;
-  table.expect_error("Y.origin", 5, 5u, {"Y.origin", "phi_d 5", "0 to 4, got 5"});
+  table.expect_error("Y.origin", 5, 5u, {"Y.origin", "phi_d 5", "0 to 4, got 5"});  // version 1 had no clipped cells
   table.expect_error("Y.mean", 5, 1.0f, {"Y.mean", "empty cell"});
   table.expect_error("Y.count", 5, 1u, {"Y.count", "empty cell"});
 }
@@ -197,8 +197,20 @@ TEST(TableExr, RefusesOtherSizesAndOtherFilesWithoutReadingThem) {
   plain.with_attributes = false;
   expect_exr_error(plain, {"lacquer.version is missing"});
   ExrWriter future;
-  future.lacquer_version = 2;
-  expect_exr_error(future, {"lacquer.version: expected 1, got 2"});
+  future.lacquer_version = 3;
+  expect_exr_error(future, {"lacquer.version: expected at most 2, got 3"});
+}
+
+TEST(TableExr, Version2KnowsClippedCells) {
+  TemporaryFolder folder;
+  ExrWriter exr;
+  exr.lacquer_version = 2;
+  exr.set("Y.mean", 42, 0.5f);
+  exr.set("Y.origin", 42, 5u);
+  test::write_file(folder / "t.exr", exr.content());
+  EXPECT_EQ(read_table(folder / "t.exr").channels[0].origin[42], CellOrigin::clipped);
+  exr.set("Y.origin", 42, 6u);
+  expect_exr_error(exr, {"Y.origin", "0 to 5, got 6"});
 }
 
 TEST(TableExr, WriterRefusesWhatTheReaderWould) {

@@ -137,6 +137,47 @@ TEST(TableAccumulator, SymmetryFillsEmptyCellsOnlyAndSaysSo) {
   EXPECT_EQ(std::count(t.origin.begin(), t.origin.end(), CellOrigin::symmetric), 1);
 }
 
+TEST(TableAccumulator, ACellOfClippedSamplesAloneHoldsTheirMeanBound) {
+  TableAccumulator accumulator(1);
+  const std::size_t i = TableGrid::index(TableGrid::Cell{30, 40, 50});
+  accumulator.add_bound(0, {10.2 * degree, 40.2 * degree, 50.1 * degree}, 2.0, 0.01, 1.0, {1e-4, 6e-4, 2e-4});
+  accumulator.add_bound(0, {10.4 * degree, 40.6 * degree, 50.5 * degree}, 6.0, 0.04, 3.0, {5e-4, 2e-4, -4e-4});
+  const auto t = accumulator.table(true).channels[0];
+  EXPECT_EQ(t.origin[i], CellOrigin::clipped);
+  EXPECT_EQ(t.count[i], 2u);
+  EXPECT_FLOAT_EQ(t.mean[i], 5.0f);                          // as for values: (1 * 2 + 3 * 6) / 4
+  EXPECT_FLOAT_EQ(t.variance[i], (0.01f + 9 * 0.04f) / 16);
+  EXPECT_NEAR(t.theta_h[i] / degree, 10.35, 1e-5);
+  EXPECT_FLOAT_EQ(t.footprint_along[i], 4e-4f);
+  // A bound is not passed on to the mirror cell.
+  EXPECT_EQ(std::count(t.origin.begin(), t.origin.end(), CellOrigin::empty), static_cast<std::ptrdiff_t>(TableGrid::n_cells) - 1);
+}
+
+TEST(TableAccumulator, AnUnclippedSampleMakesACellMeasuredWhateverCameFirst) {
+  const HalfDiff place{0.3, 0.4, 0.5};
+  const std::size_t i = TableGrid::index(place);
+  for (const bool bound_first : {true, false}) {
+    TableAccumulator accumulator(1);
+    if (bound_first) accumulator.add_bound(0, place, 9.0, 1.0, 5.0);
+    accumulator.add(0, place, 2.0, 0.25, 1.0);
+    if (!bound_first) accumulator.add_bound(0, place, 9.0, 1.0, 5.0);
+    const auto t = accumulator.table(false).channels[0];
+    EXPECT_EQ(t.origin[i], CellOrigin::measured);
+    EXPECT_EQ(t.mean[i], 2.0f);
+    EXPECT_EQ(t.variance[i], 0.25f);
+    EXPECT_EQ(t.count[i], 1u);
+    EXPECT_EQ(accumulator.n_samples(), 1u);
+  }
+}
+
+TEST(TableBrdf, AClippedCellIsAHoleForTheLookup) {
+  HalfAngleTable table(1);
+  const std::size_t i = TableGrid::index(TableGrid::Cell{20, 20, 20});
+  table.channels[0].origin[i] = CellOrigin::clipped;
+  table.channels[0].mean[i] = 1;
+  EXPECT_FALSE(TableBrdf(table, "clipped").value(directions(TableGrid::centre(i))).has_value());
+}
+
 TEST(TableAccumulator, StoredPhiDStaysBelowPi) {
   TableAccumulator accumulator(1);
   const double just_below = pi - 1e-9;  // nearest float: 3.1415927 > pi

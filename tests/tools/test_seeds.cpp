@@ -30,8 +30,7 @@ fit::FitResult measured_with_seed(std::uint64_t seed, const std::shared_ptr<cons
     for (const double exposure : view.exposures_s) frames.push_back(devices.camera->capture({exposure, 0}));
     const auto image = calib::merge_bracket(frames, calibration.response, calibration.noise);
     sampler.sample_view(image, {static_cast<std::size_t>(view.light), angle, 1}, [&](std::span<const calib::Sample> samples) {
-      for (const auto& s : samples)
-        accumulator.add(static_cast<std::size_t>(s.channel), s.coordinates, s.value, s.variance, s.weight, s.footprint);
+      for (const auto& s : samples) calib::add_sample(accumulator, s);
     });
   }
   fit::FitOptions options;
