@@ -26,8 +26,9 @@ install_packages() {
 
 # build PRESET [TARGET]
 build() {
+  export CCACHE_SLOPPINESS=pch_defines,time_macros,include_file_mtime,include_file_ctime  # else nothing with a precompiled header is cached
   say "build: preset $1 -> build/$1 (the first time takes minutes)"
-  cmake --preset "$1" -DCMAKE_CXX_COMPILER_LAUNCHER="$(command -v ccache || true)" >"build-$1.log.tmp" 2>&1 ||
+  cmake --preset "$1" -DLACQUER_PCH=ON -DCMAKE_CXX_COMPILER_LAUNCHER="$(command -v ccache || true)" >"build-$1.log.tmp" 2>&1 ||
     { cat "build-$1.log.tmp"; rm -f "build-$1.log.tmp"; fail "cmake could not configure preset $1"; }
   rm -f "build-$1.log.tmp"
   cmake --build --preset "$1" --parallel "$(nproc)" --target "${2:-all}" || fail "the build of preset $1 failed"

@@ -19,6 +19,13 @@ if(LACQUER_SANITIZE)
   target_link_options(lacquer_options INTERFACE -fsanitize=address,undefined)
 endif()
 
+# lacquer_precompile(<target> <header>...): what most files of the target include and what takes long to read.
+function(lacquer_precompile target)
+  if(LACQUER_PCH)
+    target_precompile_headers(${target} PRIVATE ${ARGN} <algorithm> <filesystem> <fmt/format.h> <functional> <map> <memory> <optional> <string> <vector>)
+  endif()
+endfunction()
+
 # lacquer_library(<name> SOURCES ... PUBLIC ... PRIVATE ...): a static library lacquer_<name>, alias lacquer::<name>.
 function(lacquer_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
@@ -29,4 +36,5 @@ function(lacquer_library name)
   set_source_files_properties(${json_sources} PROPERTIES COMPILE_OPTIONS $<$<CONFIG:Release>:-O1>)
   add_library(lacquer::${name} ALIAS lacquer_${name})
   target_link_libraries(lacquer_${name} PUBLIC lacquer_options ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
+  lacquer_precompile(lacquer_${name} <fstream>)
 endfunction()
