@@ -9,6 +9,7 @@
 
 #include "libacquire/rig_geometry.h"
 #include "libcalib/geometry_estimate.h"
+#include "libcalib/geometry_projection.h"
 
 /// Sphere, turntable axis and lights from silhouette and highlights together. docs/geometry.md has the equations.
 namespace lacquer::calib {
@@ -65,14 +66,6 @@ struct GeometryEstimate {
   double distance_sigma = 0;      ///< relative, of the lights' distance, RMS
   std::vector<std::string> warnings;  ///< what the images do not determine, in words
 };
-
-/// Where the camera sees the mirror image of a point light in the sphere: the plane problem solved to rounding, then projected.
-/// nullopt: the camera cannot see it, or the light is inside the sphere. Pinhole only.
-std::optional<glm::dvec2> mirror_pixel(const acquire::RigGeometry& rig, const glm::dvec3& light);
-
-/// Distance of a pixel from the projected silhouette, pixels, positive outside: the angle between line of sight and cone, times the
-/// lens' scale there. nullopt: the lens has no line of sight there. Pinhole only.
-std::optional<double> silhouette_distance(const acquire::RigGeometry& rig, const glm::dvec2& pixel);
 
 /// Maximum of the posterior: least squares of all residuals over their sigmas and of the priors, outliers found with a Cauchy loss first
 /// and then left out by name. The sigmas of the data are scaled to what the residuals show, see GeometryEstimate. Throws Error{input}: orthographic camera, a distant light with a highlight, no data at all.

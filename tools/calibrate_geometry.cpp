@@ -2,14 +2,13 @@
 
 #include <fmt/format.h>
 
-#include <cmath>
 #include <filesystem>
-#include <glm/geometric.hpp>
 #include <memory>
 
 #include "libacquire/session.h"
 #include "libacquire/sim/simulated_world.h"
 #include "libcalib/calibration.h"
+#include "libcalib/geometry_difference.h"
 #include "libcalib/geometry_session.h"
 #include "libcalib/merge_session.h"
 #include "tools/calibrate_parts.h"
@@ -39,43 +38,16 @@ std::string names(const std::vector<std::string>& views) {
   return views.size() > 12 ? text + fmt::format(" and {} more", views.size() - 12) : text;
 }
 
-/// Error of a geometry against another: half vectors at pixels and views that samples come from, directions and distance of lights.
-struct Against {
-  double half = 0, light = 0, distance = 0, centre_px = 0;  ///< RMS: radians, radians, relative; pixels
-};
-
-Against against(const acquire::RigGeometry& g, double scale, const acquire::RigGeometry& truth, const acquire::Session& session) {
-  constexpr double min_cosine = 0.0872;  // 85 degrees, as samples have it
-  double half = 0, light = 0, distance = 0, n = 0, n_views = 0;
-  const int step = std::max(1, g.camera.height / 60);
+void print_difference(const char* name, const acquire::RigGeometry& geometry, double scale, const acquire::Session& session) {
+  const acquire::RigGeometry truth = acquire::sim::true_geometry(session.rig);
+  std::vector<calib::ViewAngles> views;
   for (const std::size_t v : session.views_of(acquire::ViewKind::measurement)) {
-    const auto& view = session.views[v];
-    const auto index = static_cast<std::size_t>(view.light);
-    if (g.lights[index].distant) continue;
-    const glm::dvec3 l = g.place_light(index, scale * view.turntable_angle).position, m = truth.place_light(index, view.turntable_angle).position;
-    light += std::pow(glm::length(glm::normalize(l) - glm::normalize(m)), 2);
-    distance += std::pow(glm::length(l) / glm::length(m) - 1, 2);
-    ++n_views;
-    for (int y = 0; y < g.camera.height; y += step)
-      for (int x = 0; x < g.camera.width; x += step) {
-        const auto p = acquire::trace(g, {x, y}), q = acquire::trace(truth, {x, y});
-        if (!p || !q || glm::dot(q->normal, q->wo) < min_cosine) continue;
-        const glm::dvec3 wi = glm::normalize(l - p->position), true_wi = glm::normalize(m - q->position);
-        if (glm::dot(true_wi, q->normal) < min_cosine) continue;
-        const glm::dvec3 d = (glm::normalize(wi + p->wo) - p->normal) - (glm::normalize(true_wi + q->wo) - q->normal);
-        half += glm::dot(d, d);
-        ++n;
-      }
+    const acquire::ViewRecord& view = session.views[v];
+    views.push_back({static_cast<std::size_t>(view.light), scale * view.turntable_angle, view.turntable_angle});
   }
-  Against a{n > 0 ? std::sqrt(half / n) : 0, n_views > 0 ? std::sqrt(light / n_views) : 0, n_views > 0 ? std::sqrt(distance / n_views) : 0, 0};
-  const auto c = g.camera.project(g.cam_from_rig.translation), d = truth.camera.project(truth.cam_from_rig.translation);
-  if (c && d) a.centre_px = glm::length(*c - *d);
-  return a;
-}
-
-void print_against(const char* name, const Against& a) {
-  fmt::print("  {:<10} half vector {:8.4f} deg   light {:8.4f} deg   distance {:6.3f} %   sphere centre {:7.3f} px\n", name, a.half / degree, a.light / degree,
-             100 * a.distance, a.centre_px);
+  const calib::GeometryDifference d = calib::geometry_difference(geometry, truth, views);
+  fmt::print("  {:<10} half vector {:8.4f} deg   light {:8.4f} deg   distance {:6.3f} %   sphere centre {:7.3f} px\n", name, d.half_vector_rad / degree,
+             d.light_rad / degree, 100 * d.distance, d.centre_px);
 }
 
 }  // namespace
@@ -100,10 +72,9 @@ void print_geometry(const calib::SessionGeometry& g, const acquire::Session& ses
   for (const std::string& w : e.warnings) fmt::print("warning: {}\n", w);
   if (session.rig.kind != acquire::RigDescription::Kind::simulated) return;
   // The truth of a simulated rig enters here, for the comparison, and nowhere before.
-  const acquire::RigGeometry truth = acquire::sim::true_geometry(session.rig);
   fmt::print("against the simulated truth, at the angles read back:\n");
-  print_against("rig file", against(session.rig.geometry, 1, truth, session));
-  print_against("estimate", against(e.geometry, e.turntable_scale, truth, session));
+  print_difference("rig file", session.rig.geometry, 1, session);
+  print_difference("estimate", e.geometry, e.turntable_scale, session);
 }
 
 void add_calibrate_geometry(CLI::App& calibrate, Context& context) {

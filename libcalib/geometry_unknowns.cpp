@@ -1,0 +1,86 @@
+#include "libcalib/geometry_unknowns.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+
+#include "libcalib/geometry_projection.h"
+
+namespace lacquer::calib {
+
+GeometryUnknowns::GeometryUnknowns(const acquire::RigGeometry& nominal, const GeometryPriors& priors, const std::vector<bool>& seen)
+    : nominal_(nominal), priors_(priors), seen_(seen) {
+  const glm::dvec3 axis = glm::normalize(nominal.axis_direction);
+  const glm::dvec3 helper = std::abs(axis.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 0, 1);
+  across_[0] = glm::normalize(helper - axis * glm::dot(helper, axis));
+  across_[1] = glm::cross(across_[0], axis);
+  const char* const letters[] = {"x", "y", "z"};
+  for (int k = 0; k < 3; ++k) add(fmt::format("sphere.{}", letters[k]), "m", 0, priors.sphere_m);
+  add("edge offset", "px", 0, priors.edge_offset_px);
+  if (std::none_of(seen_.begin(), seen_.end(), [](bool s) { return s; })) return;
+  first_axis_ = parameters_.size();
+  add("axis.tilt_a", "rad", 0, priors.axis_tilt_rad);
+  add("axis.tilt_b", "rad", 0, priors.axis_tilt_rad);
+  add("axis.a", "m", glm::dot(nominal.axis_point, across_[0]), priors.axis_point_m);
+  add("axis.b", "m", glm::dot(nominal.axis_point, across_[1]), priors.axis_point_m);
+  add("zero angle", "rad", 0, priors.zero_angle_rad);
+  add("step scale", "1", 1, priors.turntable_scale);
+  for (std::size_t i = 0; i < seen_.size(); ++i) {
+    first_light_.push_back(parameters_.size());
+    if (!seen_[i]) continue;
+    const acquire::Light& light = nominal.lights[i];
+    const std::string name = light.name.empty() ? fmt::format("light {}", i + 1) : fmt::format("light {}", light.name);
+    for (int k = 0; k < 3; ++k) {
+      const double along = priors.arm * light.position[k];
+      add(fmt::format("{}.{}", name, letters[k]), "m", light.position[k], std::hypot(priors.light_m, along));
+    }
+  }
+}
+
+std::optional<std::size_t> GeometryUnknowns::light_of(std::size_t k) const {
+  for (std::size_t i = 0; i < first_light_.size(); ++i)
+    if (seen_[i] && k >= first_light_[i] && k < first_light_[i] + 3) return i;
+  return std::nullopt;
+}
+
+acquire::RigGeometry GeometryUnknowns::geometry(const std::vector<double>& x) const {
+  acquire::RigGeometry g = nominal_;
+  const glm::dvec3 sphere(value(x, 0), value(x, 1), value(x, 2));
+  g.cam_from_rig.translation += g.cam_from_rig.rotation * sphere;
+  g.axis_point -= sphere;
+  if (!has_lights()) {
+    for (acquire::Light& light : g.lights) light.position -= sphere;
+    return g;
+  }
+  g.axis_direction = rotate(rotate(g.axis_direction, across_[0], value(x, first_axis_)), across_[1], value(x, first_axis_ + 1));
+  g.axis_point += value(x, first_axis_ + 2) * across_[0] + value(x, first_axis_ + 3) * across_[1];
+  const double zero = value(x, first_axis_ + 4);
+  for (std::size_t i = 0; i < g.lights.size(); ++i) {
+    acquire::Light& light = g.lights[i];
+    if (light.distant) continue;
+    light.position -= sphere;
+    if (seen_[i])
+      for (int k = 0; k < 3; ++k) light.position[k] += value(x, first_light_[i] + static_cast<std::size_t>(k));
+    if (light.on_arm) light.position = g.axis_point + rotate(light.position - g.axis_point, g.axis_direction, zero);
+  }
+  return g;
+}
+
+void GeometryUnknowns::prior_residuals(const std::vector<double>& x, std::vector<double>& out) const {
+  std::size_t n_plain = first_light_.empty() ? size() : first_light_.front();
+  for (std::size_t i = 0; i < n_plain; ++i) out.push_back(x[i]);
+  for (std::size_t i = 0; i < first_light_.size(); ++i) {
+    if (!seen_[i]) continue;
+    const glm::dvec3& p = nominal_.lights[i].position;
+    const double length = glm::length(p);
+    const glm::dvec3 u = p / length;
+    const glm::dvec3 d(value(x, first_light_[i]), value(x, first_light_[i] + 1), value(x, first_light_[i] + 2));
+    const double along = glm::dot(d, u);
+    const glm::dvec3 white = (d - along * u) / priors_.light_m + u * (along / std::hypot(priors_.light_m, priors_.arm * length));
+    for (int k = 0; k < 3; ++k) out.push_back(white[k]);
+  }
+}
+
+}  // namespace lacquer::calib

@@ -1,0 +1,50 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <glm/vec3.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "libacquire/rig_geometry.h"
+#include "libcalib/geometry_solver.h"
+
+namespace lacquer::calib {
+
+/// The unknowns of a geometry: corrections of the rig file's numbers, in units of their priors' sigmas (`x`, 0 = as the rig file has it).
+class GeometryUnknowns {
+ public:
+  /// `seen`: by light, whether its place is an unknown. No light seen: neither axis nor turntable are unknowns either.
+  GeometryUnknowns(const acquire::RigGeometry& nominal, const GeometryPriors& priors, const std::vector<bool>& seen);
+
+  const std::vector<GeometryParameter>& parameters() const { return parameters_; }
+  std::size_t size() const { return parameters_.size(); }
+  /// The light that unknown `k` moves, if it moves that one only.
+  std::optional<std::size_t> light_of(std::size_t k) const;
+
+  double edge_offset(const std::vector<double>& x) const { return value(x, 3); }
+  double turntable_scale(const std::vector<double>& x) const { return has_lights() ? 1 + value(x, first_axis_ + 5) : 1; }
+  acquire::RigGeometry geometry(const std::vector<double>& x) const;
+
+  /// Appends the residuals of the priors, over sigma: size() numbers, those of a light behind the others'. A light's errors are those of a
+  /// ruler (light_m) and of the arm's length, which is along its place.
+  void prior_residuals(const std::vector<double>& x, std::vector<double>& out) const;
+
+ private:
+  void add(std::string name, std::string unit, double nominal, double sigma) {
+    parameters_.push_back({std::move(name), std::move(unit), nominal, 0, 0, sigma});
+  }
+  bool has_lights() const { return first_axis_ > 0; }
+  double value(const std::vector<double>& x, std::size_t k) const { return x[k] * parameters_[k].prior_sigma; }
+
+  acquire::RigGeometry nominal_;
+  GeometryPriors priors_;
+  std::vector<bool> seen_;
+  std::array<glm::dvec3, 2> across_;  ///< unit, across the nominal axis; for the axis y: x and z
+  std::vector<GeometryParameter> parameters_;
+  std::size_t first_axis_ = 0;              ///< index of the axis' six unknowns; 0: there are none
+  std::vector<std::size_t> first_light_;    ///< by light: index of its three unknowns, if seen
+};
+
+}  // namespace lacquer::calib
