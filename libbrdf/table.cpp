@@ -18,12 +18,6 @@ constexpr double half_pi = pi / 2;
 
 /// Continuous index of theta_h: cell i covers [i, i+1), its centre is i + 0.5.
 double theta_h_coordinate(double theta_h) { return std::sqrt(std::max(theta_h, 0.0) / half_pi) * TableGrid::n_theta_h; }
-
-/// phi_d as stored: [0, pi) also after rounding to float, whose nearest value to pi lies above pi.
-float stored_phi_d(double phi_d) {
-  static const float largest = std::nextafter(static_cast<float>(pi), 0.0f);
-  return std::clamp(static_cast<float>(phi_d), 0.0f, largest);
-}
 }  // namespace
 
 TableGrid::Cell TableGrid::cell(std::size_t index) {
@@ -85,84 +79,6 @@ HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine) {
       }
     }
   });
-  return table;
-}
-
-TableAccumulator::TableAccumulator(std::size_t n_channels) : sums_(n_channels, std::vector<Sums>(TableGrid::n_cells)) {}
-
-void TableAccumulator::add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight,
-                           const Footprint<double>& footprint) {
-  assert(weight > 0 && std::isfinite(value) && variance >= 0);
-  const TableGrid::Cell cell = TableGrid::cell(c);
-  const HalfDiff centre = TableGrid::centre(cell);
-  Sums& s = sums_[channel][TableGrid::index(cell)];
-  if (s.bounds) s = {};
-  add(s, {c.theta_h - centre.theta_h, c.theta_d - centre.theta_d, fold_phi_d(c.phi_d) - centre.phi_d}, value, variance, weight, footprint);
-  ++n_samples_;
-}
-
-void TableAccumulator::add_bound(std::size_t channel, const HalfDiff& c, double bound, double variance, double weight,
-                                 const Footprint<double>& footprint) {
-  assert(weight > 0 && std::isfinite(bound) && variance >= 0);
-  const TableGrid::Cell cell = TableGrid::cell(c);
-  const HalfDiff centre = TableGrid::centre(cell);
-  Sums& s = sums_[channel][TableGrid::index(cell)];
-  if (s.count > 0 && !s.bounds) return;
-  s.bounds = true;
-  add(s, {c.theta_h - centre.theta_h, c.theta_d - centre.theta_d, fold_phi_d(c.phi_d) - centre.phi_d}, bound, variance, weight, footprint);
-}
-
-void TableAccumulator::add(Sums& s, const HalfDiff& offset, double value, double variance, double weight, const Footprint<double>& footprint) {
-  s.weight += weight;
-  s.weighted_value += weight * value;
-  s.weighted_variance += weight * weight * variance;
-  s.theta_h += static_cast<float>(weight * offset.theta_h);
-  s.theta_d += static_cast<float>(weight * offset.theta_d);
-  s.phi_d += static_cast<float>(weight * offset.phi_d);
-  s.footprint.along += static_cast<float>(weight * footprint.along);
-  s.footprint.across += static_cast<float>(weight * footprint.across);
-  s.footprint.mixed += static_cast<float>(weight * footprint.mixed);
-  ++s.count;
-}
-
-HalfAngleTable TableAccumulator::table(bool symmetrise) const {
-  HalfAngleTable table(sums_.size());
-  for (std::size_t channel = 0; channel < sums_.size(); ++channel) {
-    auto& t = table.channels[channel];
-    for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
-      const Sums& s = sums_[channel][i];
-      if (s.count == 0) continue;
-      const HalfDiff centre = TableGrid::centre(i);
-      t.mean[i] = static_cast<float>(s.weighted_value / s.weight);
-      t.variance[i] = static_cast<float>(s.weighted_variance / (s.weight * s.weight));
-      t.count[i] = s.count;
-      t.theta_h[i] = static_cast<float>(centre.theta_h + s.theta_h / s.weight);
-      t.theta_d[i] = static_cast<float>(centre.theta_d + s.theta_d / s.weight);
-      t.phi_d[i] = stored_phi_d(centre.phi_d + s.phi_d / s.weight);
-      t.footprint_along[i] = static_cast<float>(s.footprint.along / s.weight);
-      t.footprint_across[i] = static_cast<float>(s.footprint.across / s.weight);
-      t.footprint_mixed[i] = static_cast<float>(s.footprint.mixed / s.weight);
-      t.origin[i] = s.bounds ? CellOrigin::clipped : CellOrigin::measured;
-    }
-    if (!symmetrise) continue;
-    for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
-      if (t.origin[i] != CellOrigin::empty) continue;
-      TableGrid::Cell mirror = TableGrid::cell(i);
-      mirror.phi_d = TableGrid::n_phi_d - 1 - mirror.phi_d;
-      const std::size_t j = TableGrid::index(mirror);
-      if (t.origin[j] != CellOrigin::measured) continue;
-      t.mean[i] = t.mean[j];
-      t.variance[i] = t.variance[j];
-      t.count[i] = t.count[j];
-      t.theta_h[i] = t.theta_h[j];
-      t.theta_d[i] = t.theta_d[j];
-      t.footprint_along[i] = t.footprint_along[j];
-      t.footprint_across[i] = t.footprint_across[j];
-      t.footprint_mixed[i] = -t.footprint_mixed[j];  // the mirror turns the axis across round
-      t.phi_d[i] = stored_phi_d(pi - static_cast<double>(t.phi_d[j]));
-      t.origin[i] = CellOrigin::symmetric;
-    }
-  }
   return table;
 }
 

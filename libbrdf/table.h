@@ -1,6 +1,5 @@
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -38,6 +37,9 @@ struct TableGrid {
   static double theta_h_edge(int i);         ///< lower edge of cell i, radians; i = n_theta_h: pi/2
   static HalfDiff centre(const Cell& c);     ///< theta_h centre is ((i+0.5)/n)^2 * 90 deg, as MERL readers expect
   static HalfDiff centre(std::size_t index) { return centre(cell(index)); }
+
+  /// The cell at pi - phi_d: the same for an isotropic paint without a handedness.
+  static std::size_t mirror(std::size_t index) { return index - index % n_phi_d + (n_phi_d - 1 - index % n_phi_d); }
 
   /// Both directions at the cell's centre are above the horizon: smaller cosine > `min_cosine`.
   static bool reachable(const Cell& c, double min_cosine = 0.0);
@@ -86,37 +88,6 @@ struct HalfAngleTable {
 
 /// Noise-free table of a BRDF evaluated at the cell centres, cells with a cosine <= `min_cosine` left empty. For tests and conversion.
 HalfAngleTable tabulate_brdf(const Brdf& brdf, double min_cosine = 0.0);
-
-/// Adds samples one after the other; sums of values are double, sums of coordinates are float and relative to the cell's centre.
-/// Deterministic for a given order.
-class TableAccumulator {
- public:
-  explicit TableAccumulator(std::size_t n_channels);
-
-  /// One measurement of f_r. `weight`: proportional to the irradiance at the pixel (cosine included), so that the cell's value is
-  /// the ratio of summed radiance to summed irradiance, which is unbiased whatever the noise. `variance` of `value`, (1/sr)^2.
-  void add(std::size_t channel, const HalfDiff& c, double value, double variance, double weight,
-           const Footprint<double>& footprint = {});
-  /// One clipped measurement: f_r is at least `bound`, whose noise has `variance`. See TableChannel.
-  void add_bound(std::size_t channel, const HalfDiff& c, double bound, double variance, double weight, const Footprint<double>& footprint = {});
-
-  /// Mirror symmetry f(phi_d) = f(pi - phi_d): with `symmetrise`, empty cells take the mirror cell's value, flagged `symmetric`.
-  HalfAngleTable table(bool symmetrise) const;
-
-  std::size_t n_samples() const { return n_samples_; }
-
- private:
-  struct Sums {
-    double weight = 0, weighted_value = 0, weighted_variance = 0;  // of w, w*f, w^2*var
-    float theta_h = 0, theta_d = 0, phi_d = 0;                      // of w * (coordinate - centre)
-    Footprint<float> footprint;                                     // of w * footprint
-    std::uint32_t count = 0;
-    bool bounds = false;                                            // sums of clipped samples, dropped at the first other one
-  };
-  static void add(Sums& sums, const HalfDiff& offset, double value, double variance, double weight, const Footprint<double>& footprint);
-  std::vector<std::vector<Sums>> sums_;
-  std::size_t n_samples_ = 0;
-};
 
 /// Table behind the common interface. Lookup: trilinear in (theta_h index, theta_d, phi_d) over the corner cells that have a
 /// value, nullopt where the nearest cell has none.

@@ -22,9 +22,7 @@ Tabulation predict_coverage(const acquire::RigDescription& rig, const SampleOpti
   for (std::size_t v = 0; v < rig.plan.size(); ++v) {
     const acquire::PlannedView& view = rig.plan[v];
     if (view.kind != acquire::ViewKind::measurement) continue;  // references and dark views are no samples
-    counts += sampler.sample_view(image, {.light = static_cast<std::size_t>(view.light), .turntable_angle = view.turntable_angle}, [&](std::span<const Sample> samples) {
-      for (const Sample& s : samples) add_sample(accumulator, s);
-    });
+    counts += sampler.accumulate_view(image, {.light = static_cast<std::size_t>(view.light), .turntable_angle = view.turntable_angle}, accumulator);
     if (progress) progress("coverage", v + 1, rig.plan.size());
   }
   return {accumulator.table(true), counts};

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <opencv2/imgcodecs.hpp>
 
 #include "libbrdf/error.h"
@@ -37,14 +38,13 @@ bool inside_silhouette(const acquire::RigGeometry& rig, const glm::dvec2& pixel,
   return true;
 }
 
-PixelStep pixel_step(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
-  PixelStep step{};
+/// How the normal changes from pixel to pixel, in x and in y: the images of two half-pixel steps.
+std::array<glm::vec3, 2> normal_step(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
+  std::array<glm::vec3, 2> step{};
   for (int axis = 0; axis < 2; ++axis) {
     const glm::dvec2 half_step(axis == 0 ? 0.5 : 0.0, axis == 0 ? 0.0 : 0.5);
     const auto before = acquire::trace(rig, pixel - half_step), after = acquire::trace(rig, pixel + half_step);
-    if (!before || !after) continue;  // on the silhouette itself; such pixels are no samples
-    step.normal[axis] = glm::vec3(after->normal - before->normal);
-    step.wo[axis] = glm::vec3(after->wo - before->wo);
+    if (before && after) step[static_cast<std::size_t>(axis)] = glm::vec3(after->normal - before->normal);  // else on the silhouette: no sample
   }
   return step;
 }
@@ -52,10 +52,10 @@ PixelStep pixel_step(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
 /// Slope of the half vector against the normal, moved by one pixel: to first order ds = dh - dn in the tangent plane. Pixel area and
 /// lens blur spread it by `blur2` pixels^2 per axis. The emitter (a disc: variance D^2/16 per axis) turns wi alone, the half vector by
 /// half of that in the plane of wi and wo (at phi_d) and by 1/(2 cos theta_d) across.
-brdf::Footprint<double> half_vector_footprint(const Calibration& calibration, const acquire::PlacedLight& light,
-                                              const acquire::SurfacePoint& point, const glm::dvec3& wi, const PixelStep& step,
-                                              const brdf::HalfDiff& coordinates) {
-  const double blur2 = 1.0 / 12 + calibration.lens_blur_px * calibration.lens_blur_px;
+/// `camera_distance`: infinite for an orthographic camera.
+brdf::Footprint<double> half_vector_footprint(double radius, double blur2, double camera_distance, const acquire::PlacedLight& light,
+                                              const acquire::SurfacePoint& point, const glm::dvec3& wi,
+                                              const std::array<glm::dvec3, 2>& normal_steps, const brdf::HalfDiff& coordinates) {
   const glm::dvec3 to_light = light.position - point.position;
   const double distance2 = light.distant ? 1 : glm::dot(to_light, to_light);
   const glm::dvec3 sum = wi + point.wo;
@@ -69,10 +69,10 @@ brdf::Footprint<double> half_vector_footprint(const Calibration& calibration, co
   const glm::dvec3 across = glm::cross(n, along);
 
   brdf::Footprint<double> v;
-  for (int axis = 0; axis < 2; ++axis) {
-    const glm::dvec3 dn(step.normal[axis]), dp = calibration.geometry.sphere_radius * dn;
+  for (const glm::dvec3& dn : normal_steps) {
+    const glm::dvec3 dp = radius * dn;
     const glm::dvec3 dwi = light.distant ? glm::dvec3(0) : (wi * glm::dot(wi, dp) - dp) / std::sqrt(distance2);
-    const glm::dvec3 dsum = dwi + glm::dvec3(step.wo[axis]);
+    const glm::dvec3 dsum = dwi + (point.wo * glm::dot(point.wo, dp) - dp) / camera_distance;
     const glm::dvec3 slope = (dsum - h * glm::dot(h, dsum)) / length - dn;
     const double a = glm::dot(slope, along), b = glm::dot(slope, across);
     v.along += blur2 * a * a;
@@ -149,7 +149,10 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
   cv::Mat mask_image;
   if (mask.file) mask_image = read_mask(*mask.file, width, height);
 
-  std::vector<std::vector<Pixel>> rows(static_cast<std::size_t>(height));
+  const acquire::RigidTransform rig_from_cam = rig.cam_from_rig.inverse();
+  camera_ = central() ? rig_from_cam * glm::dvec3(0) : rig_from_cam.rotation * glm::dvec3(0, 0, -1);
+
+  std::vector<SpherePixels> rows(static_cast<std::size_t>(height));
   std::vector<std::size_t> masked(static_cast<std::size_t>(height));
   tbb::parallel_for(0, height, [&](int y) {
     for (int x = 0; x < width; ++x) {
@@ -164,113 +167,113 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
         ++masked[static_cast<std::size_t>(y)];
         continue;
       }
-      rows[static_cast<std::size_t>(y)].push_back(
-          {static_cast<std::size_t>(y) * width + x, *point, lens_transmission(calibration_, pixel), pixel_step(rig, pixel)});
+      const auto step = normal_step(rig, pixel);
+      rows[static_cast<std::size_t>(y)].push_back(static_cast<std::uint32_t>(y * width + x), point->normal, step[0], step[1],
+                                                  static_cast<float>(1 / lens_transmission(calibration_, pixel)),
+                                                  static_cast<std::uint8_t>(acquire::channel_of(layout_, x, y, 0)));
     }
   });
   for (std::size_t y = 0; y < rows.size(); ++y) {
-    pixels_.insert(pixels_.end(), rows[y].begin(), rows[y].end());
+    pixels_.append(rows[y]);
+    rows[y] = {};
     n_masked_ += masked[y];
   }
+  pixels_.pad();
 }
 
-SampleCounts Sampler::sample_view(const RadianceImage& image, const Illumination& lighting, const Sink& sink) const {
+Sampler::View Sampler::view_of(const Illumination& lighting) const {
+  View view{placed_light(calibration_, lighting), 1.0, 1.0 / 12 + calibration_.lens_blur_px * calibration_.lens_blur_px, options_.min_cosine};
+  if (!view.light.distant) {
+    const double distance = glm::length(view.light.position);
+    view.reference = 1 / (distance * distance);
+    // Penumbra: seen from the sphere, the emitter's radius is less than this.
+    view.min_cosine = std::max(view.min_cosine, view.light.diameter / 2 / std::max(distance - calibration_.geometry.sphere_radius, 1e-9));
+  }
+  return view;
+}
+
+acquire::SurfacePoint Sampler::point(std::size_t i) const {
+  const glm::dvec3 normal(pixels_.normal[0][i], pixels_.normal[1][i], pixels_.normal[2][i]), position = calibration_.geometry.sphere_radius * normal;
+  return {position, normal, central() ? glm::normalize(camera_ - position) : camera_};
+}
+
+Sampler::Lit Sampler::light(const View& view, std::size_t i) const {
+  Lit lit;
+  const acquire::SurfacePoint p = point(i);
+  const auto illumination = acquire::illuminate(view.light, p);
+  if (!illumination || glm::dot(p.normal, illumination->wi) < view.min_cosine) return lit;
+  const auto local = acquire::to_shading_frame(p, illumination->wi);
+  const double camera_distance = central() ? glm::length(camera_ - p.position) : std::numeric_limits<double>::infinity();
+  std::array<glm::dvec3, 2> steps;
+  for (std::size_t axis = 0; axis < 2; ++axis)
+    for (int k = 0; k < 3; ++k) steps[axis][k] = pixels_.normal_step[axis][k][i];
+  lit.directions = {local.wi, local.wo};
+  lit.coordinates = brdf::half_diff(lit.directions);
+  lit.footprint = half_vector_footprint(calibration_.geometry.sphere_radius, view.blur2, camera_distance, view.light, p, illumination->wi, steps,
+                                        lit.coordinates);
+  lit.irradiance = illumination->irradiance;
+  const int c = view.light.intensity.y > 0 ? 1 : view.light.intensity.x > 0 ? 0 : 2;  // all channels agree
+  lit.weight = lit.irradiance[c] / (view.light.intensity[c] * view.reference);
+  lit.fate = unresolved(lit.footprint, lit.coordinates.theta_h, options_.narrowest_m) ? SampleBlock::blurred : SampleBlock::used;
+  return lit;
+}
+
+void Sampler::check(const RadianceImage& image) const {
   const auto& camera = calibration_.geometry.camera;
   if (image.width != camera.width || image.height != camera.height || image.layout != layout_)
     throw Error(ErrorCode::input, fmt::format("radiance image: expected {}x{} {}, got {}x{} {}", camera.width, camera.height,
                                               name_of(layout_), image.width, image.height, name_of(image.layout)));
-  const acquire::PlacedLight placed = placed_light(calibration_, lighting);
-  const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(layout_));
-  const double reference = placed.distant
-                               ? 1.0
-                               : 1.0 / glm::dot(placed.position, placed.position);  // irradiance per intensity at the sphere's centre
+}
 
+SampleCounts Sampler::sample_view(const RadianceImage& image, const Illumination& lighting, const Sink& sink) const {
+  check(image);
+  const View view = view_of(lighting);
+  const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(layout_));
   SampleCounts counts;
   counts.masked = n_masked_ * per_pixel;
-  std::vector<Sample> slots(chunk_pixels * per_pixel);
-  enum class Fate : unsigned char { used, clipped, invalid, grazing, blurred };
-  std::vector<Fate> fates(slots.size());
-
-  for (std::size_t first = 0; first < pixels_.size(); first += chunk_pixels) {
-    const std::size_t n = std::min(chunk_pixels, pixels_.size() - first);
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, n, 512), [&](const auto& range) {
-      for (std::size_t i = range.begin(); i != range.end(); ++i) {
-        const Pixel& pixel = pixels_[first + i];
-        const auto lit = acquire::illuminate(placed, pixel.point);
-        const double cos_i = lit ? glm::dot(pixel.point.normal, lit->wi) : 0.0;
-        brdf::HalfDiff coordinates{};
-        brdf::Footprint<double> footprint;
-        bool blurred = false;
-        if (cos_i >= options_.min_cosine) {
-          const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
-          coordinates = brdf::half_diff({local.wi, local.wo});
-          footprint = half_vector_footprint(calibration_, placed, pixel.point, lit->wi, pixel.step, coordinates);
-          blurred = unresolved(footprint, coordinates.theta_h, options_.narrowest_m);
-        }
-        for (std::size_t k = 0; k < per_pixel; ++k) {
-          const std::size_t slot = i * per_pixel + k, value = pixel.index * per_pixel + k;
-          if (cos_i < options_.min_cosine) {
-            fates[slot] = Fate::grazing;
-            continue;
-          }
-          if (blurred) {
-            fates[slot] = Fate::blurred;
-            continue;
-          }
-          const PixelFlag flag = image.flags[value];
-          fates[slot] = flag == PixelFlag::clipped ? Fate::clipped : flag == PixelFlag::invalid ? Fate::invalid : Fate::used;
-          if (fates[slot] == Fate::invalid) continue;
-          const int x = static_cast<int>(pixel.index % static_cast<std::size_t>(camera.width));
-          const int y = static_cast<int>(pixel.index / static_cast<std::size_t>(camera.width));
-          const int channel = acquire::channel_of(layout_, x, y, static_cast<int>(k));
-          // f_r = radiance / irradiance
-          const double scale = 1.0 / (calibration_.dn_per_radiance[channel] * pixel.transmission * lit->irradiance[channel]);
-          const double weight = lit->irradiance[channel] / (placed.intensity[channel] * reference);
-          slots[slot] = {coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, weight, footprint, channel,
-                         fates[slot] == Fate::clipped};
-        }
-      }
-    });
-    std::size_t kept = 0;
-    for (std::size_t slot = 0; slot < n * per_pixel; ++slot) {
-      switch (fates[slot]) {
-        case Fate::used: ++counts.used; slots[kept++] = slots[slot]; break;
-        case Fate::clipped: ++counts.clipped; slots[kept++] = slots[slot]; break;
-        case Fate::invalid: ++counts.invalid; break;
-        case Fate::grazing: ++counts.grazing; break;
-        case Fate::blurred: ++counts.blurred; break;
+  std::vector<Sample> samples;
+  for (std::size_t first = 0; first < pixels_.size; first += chunk_pixels) {
+    samples.clear();
+    for (std::size_t i = first; i < std::min(first + chunk_pixels, pixels_.size); ++i) {
+      const Lit lit = light(view, i);
+      if (lit.fate != SampleBlock::used) (lit.fate == SampleBlock::blurred ? counts.blurred : counts.grazing) += per_pixel;
+      for (std::size_t k = 0; lit.fate == SampleBlock::used && k < per_pixel; ++k) {
+        const std::size_t value = pixels_.index[i] * per_pixel + k;
+        const PixelFlag flag = image.flags[value];
+        ++(flag == PixelFlag::clipped ? counts.clipped : flag == PixelFlag::invalid ? counts.invalid : counts.used);
+        if (flag == PixelFlag::invalid) continue;
+        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels_.channel[i];
+        // f_r = radiance / irradiance
+        const double scale = double{pixels_.inverse_transmission[i]} / (calibration_.dn_per_radiance[channel] * lit.irradiance[channel]);
+        samples.push_back({lit.coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, lit.weight, lit.footprint,
+                           channel, flag == PixelFlag::clipped});
       }
     }
-    sink(std::span<const Sample>(slots.data(), kept));
+    sink(samples);
   }
   return counts;
 }
 
 Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, const Illumination& lighting) const {
   const auto& camera = calibration_.geometry.camera;
-  const acquire::PlacedLight placed = placed_light(calibration_, lighting);
+  const View view = view_of(lighting);
   const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(layout_));
   const std::size_t n_values = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height) * per_pixel;
 
   Prediction prediction{std::vector<float>(n_values), std::vector<bool>(n_values)};
   std::vector<unsigned char> used(n_values);  // vector<bool> must not be written by several threads
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pixels_.size(), 512), [&](const auto& range) {
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pixels_.size, 512), [&](const auto& range) {
     for (std::size_t i = range.begin(); i != range.end(); ++i) {
-      const Pixel& pixel = pixels_[i];
-      const auto lit = acquire::illuminate(placed, pixel.point);
-      if (!lit || glm::dot(pixel.point.normal, lit->wi) < options_.min_cosine) continue;
-      const auto local = acquire::to_shading_frame(pixel.point, lit->wi);
-      const brdf::Directions directions{local.wi, local.wo};
-      const auto f = paint.value(directions, half_vector_footprint(calibration_, placed, pixel.point, lit->wi, pixel.step,
-                                                                   brdf::half_diff(directions)));
+      const Lit lit = light(view, i);
+      if (lit.fate == SampleBlock::grazing) continue;
+      const auto f = paint.value(lit.directions, lit.footprint);
       if (!f) continue;
-      const int x = static_cast<int>(pixel.index % static_cast<std::size_t>(camera.width));
-      const int y = static_cast<int>(pixel.index / static_cast<std::size_t>(camera.width));
       for (std::size_t k = 0; k < per_pixel; ++k) {
-        const int channel = acquire::channel_of(layout_, x, y, static_cast<int>(k));
-        prediction.radiance[pixel.index * per_pixel + k] = static_cast<float>(
-            (*f)[channel] * lit->irradiance[channel] * calibration_.dn_per_radiance[channel] * pixel.transmission);
-        used[pixel.index * per_pixel + k] = 1;
+        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels_.channel[i];
+        const std::size_t value = pixels_.index[i] * per_pixel + k;
+        prediction.radiance[value] = static_cast<float>((*f)[channel] * lit.irradiance[channel] * calibration_.dn_per_radiance[channel] /
+                                                        double{pixels_.inverse_transmission[i]});
+        used[value] = 1;
       }
     }
   });
@@ -281,17 +284,16 @@ Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, const Illumin
 Tabulation tabulate_session(const acquire::Session& session, const Calibration& calibration, const SampleOptions& options,
                             const Progress& progress) {
   const acquire::PixelLayout layout = session.rig.sensor.layout;
-  const Sampler sampler(calibration, session.rig.mask, layout, options);
   brdf::TableAccumulator accumulator(static_cast<std::size_t>(acquire::n_channels(layout)));
   SampleCounts counts;
-  const std::vector<std::size_t> views = session.views_of(acquire::ViewKind::measurement);
-  for (std::size_t i = 0; i < views.size(); ++i) {
-    const auto& view = session.views[views[i]];
-    const RadianceImage image = read_radiance(session.radiance_path(view));
-    counts += sampler.sample_view(image, illumination_of(view, calibration), [&](std::span<const Sample> samples) {
-      for (const Sample& s : samples) add_sample(accumulator, s);
-    });
-    if (progress) progress("tabulate", i + 1, views.size());
+  {
+    const Sampler sampler(calibration, session.rig.mask, layout, options);  // gives its memory back before the table needs it
+    const std::vector<std::size_t> views = session.views_of(acquire::ViewKind::measurement);
+    for (std::size_t i = 0; i < views.size(); ++i) {
+      const auto& view = session.views[views[i]];
+      counts += sampler.accumulate_view(read_radiance(session.radiance_path(view)), illumination_of(view, calibration), accumulator);
+      if (progress) progress("tabulate", i + 1, views.size());
+    }
   }
   Tabulation result{accumulator.table(true), counts};
   result.table.absolute_scale = calibration.absolute_scale;

@@ -9,13 +9,16 @@
 #include "libacquire/session.h"
 #include "libbrdf/directions.h"
 #include "libbrdf/table.h"
+#include "libbrdf/table_accumulator.h"
 #include "libcalib/calibration.h"
 #include "libcalib/radiance_image.h"
+#include "libcalib/sample_kernel.h"
 
 namespace lacquer::calib {
 
 struct SampleOptions {
-  double min_cosine = 0.08715574274765817;  ///< cos 85 deg: neither light nor camera closer to the horizon than this
+  /// cos 85 deg: neither light nor camera closer to the horizon than this; nor may a part of the emitter lie below it (penumbra).
+  double min_cosine = 0.08715574274765817;
   double edge_px = 2.0;                      ///< pixels whose centre is closer than this to the silhouette are left out (blur, mixed pixels)
   /// Narrowest lobe that must come out right, RMS slope. Towards the silhouette the footprint of a pixel grows without bound and changes
   /// within itself; near the peak (theta_h < 3 sqrt(narrowest_m^2 + 2 v), v its larger variance) samples with v > narrowest_m^2 are left out.
@@ -44,12 +47,6 @@ struct SampleCounts {
   SampleCounts& operator+=(const SampleCounts& other);
 };
 
-/// How the surface point that a pixel sees changes from pixel to pixel, in x and in y: the images of two half-pixel steps.
-struct PixelStep {
-  glm::vec3 normal[2];  ///< change of the normal per pixel
-  glm::vec3 wo[2];      ///< change of the direction to the camera per pixel
-};
-
 /// What lights a view.
 struct Illumination {
   std::size_t light = 0;       ///< index into geometry.lights
@@ -68,12 +65,15 @@ class Sampler {
   /// Throws Error{file} when the mask does not have the camera's size.
   Sampler(const Calibration& calibration, const acquire::MaskDescription& mask, acquire::PixelLayout layout, const SampleOptions& options);
 
-  /// Called with consecutive pieces of a view's samples, in pixel order whatever the number of threads.
+  /// Called with consecutive pieces of a view's samples, in pixel order.
   using Sink = std::function<void(std::span<const Sample>)>;
 
-  /// Samples of one view, computed in parallel, delivered in order. Clipped values are delivered as
-  /// bounds, invalid ones only counted.
+  /// Samples of one view, one after the other in double. Clipped values are delivered as bounds, invalid ones only counted.
   SampleCounts sample_view(const RadianceImage& image, const Illumination& lighting, const Sink& sink) const;
+
+  /// The same samples straight into a table's cells, many times faster: the cells are those of sample_view, means agree to 1e-6 and do
+  /// not depend on the number of threads: they compute, one after the other adds in the order of the pixels.
+  SampleCounts accumulate_view(const RadianceImage& image, const Illumination& lighting, brdf::TableAccumulator& accumulator) const;
 
   /// Radiance (linearised DN per second) that `paint`, seen through the footprint of each pixel, would give in each value of the image;
   /// 0 where sample_view would give no
@@ -85,17 +85,38 @@ class Sampler {
   Prediction predict_view(const brdf::Brdf& paint, const Illumination& lighting) const;
 
  private:
-  struct Pixel {
-    std::size_t index;  ///< y * width + x
-    acquire::SurfacePoint point;
-    double transmission;  ///< of the lens there: 1 - vignetting
-    PixelStep step;
+  /// One view's light, and what is the same for all of its pixels.
+  struct View {
+    acquire::PlacedLight light;
+    double reference;   ///< irradiance at the sphere's centre per intensity
+    double blur2;       ///< of pixel area and lens, pixels^2
+    double min_cosine;  ///< of the light
   };
+  /// A pixel as the light of a view meets it; unless `fate` is used or blurred the rest means nothing.
+  struct Lit {
+    SampleBlock::Fate fate = SampleBlock::grazing;
+    brdf::Directions directions;
+    brdf::HalfDiff coordinates;
+    brdf::Footprint<double> footprint;
+    glm::dvec3 irradiance;
+    double weight;  ///< irradiance relative to the light's on axis
+  };
+  struct Block;
+  bool central() const { return calibration_.geometry.camera.projection == acquire::CameraModel::Projection::pinhole; }
+  View view_of(const Illumination& lighting) const;
+  acquire::SurfacePoint point(std::size_t pixel) const;
+  Lit light(const View& view, std::size_t pixel) const;
+  void check(const RadianceImage& image) const;
+  KernelView kernel_view(const View& view) const;
+  void resolve(const View& view, std::size_t pixel, std::size_t lane, SampleBlock& block) const;
+  void fill(const View& view, const KernelView& kernel, const RadianceImage& image, Block& block) const;
+
   std::size_t n_masked_ = 0;
   Calibration calibration_;
   acquire::PixelLayout layout_;
   SampleOptions options_;
-  std::vector<Pixel> pixels_;
+  glm::dvec3 camera_;  ///< rig frame: centre of projection; orthographic: unit direction towards the camera
+  SpherePixels pixels_;
 };
 
 /// Radiance images of a session's measurement views -> half-angle table, one image in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d

@@ -1,9 +1,12 @@
 #include "libcalib/samples.h"
 
 #include <gtest/gtest.h>
+#include <tbb/global_control.h>
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <random>
 #include <glm/geometric.hpp>
 #include <numbers>
 
@@ -152,6 +155,133 @@ TEST(Samples, PredictionIsTheInverseOfSampling) {
     ++n;
   }
   EXPECT_GT(n, 10000u);
+}
+
+/// The rig above seen through a lens near by, under a near light with a falloff and an emitter of some size.
+Calibration pinhole_rig() {
+  Calibration c = orthographic_rig(false);
+  c.geometry.camera.projection = acquire::CameraModel::Projection::pinhole;
+  c.geometry.camera.focal = {1000, 1010};
+  c.geometry.camera.distortion = {-0.2, 0.5, 2e-4, -1e-4};
+  c.geometry.lights[0].falloff_exponent = 20;
+  c.geometry.lights[0].diameter = 0.003;
+  c.lens_blur_px = 0.7;
+  c.vignetting = 0.08;
+  return c;
+}
+
+/// Irregular values, some clipped or invalid.
+RadianceImage irregular_image(acquire::PixelLayout layout) {
+  RadianceImage image = constant_image(layout, 1.0f);
+  std::mt19937 generator(5);
+  std::uniform_real_distribution<float> uniform(1, 10);
+  for (std::size_t i = 0; i < image.radiance.size(); ++i) {
+    image.radiance[i] = uniform(generator);
+    image.variance[i] = 0.1f * uniform(generator);
+    if (i % 11 == 0) image.flags[i] = PixelFlag::clipped;
+    if (i % 13 == 0) image.flags[i] = PixelFlag::invalid;
+  }
+  return image;
+}
+
+/// Sums of a plain loop over samples, in double.
+struct PlainSums {
+  double weight = 0, value = 0, variance = 0, theta_h = 0, theta_d = 0, phi_d = 0, along = 0, across = 0, mixed = 0;
+  std::uint32_t count = 0;
+  void add(const Sample& s) {
+    weight += s.weight, value += s.weight * s.value, variance += s.weight * s.weight * s.variance;
+    theta_h += s.weight * s.coordinates.theta_h, theta_d += s.weight * s.coordinates.theta_d, phi_d += s.weight * brdf::fold_phi_d(s.coordinates.phi_d);
+    along += s.weight * s.footprint.along, across += s.weight * s.footprint.across, mixed += s.weight * s.footprint.mixed;
+    ++count;
+  }
+};
+
+TEST(Samples, FastAccumulationEqualsThePlainLoopCellByCell) {
+  for (const auto layout : {acquire::PixelLayout::bayer_rggb, acquire::PixelLayout::rgb, acquire::PixelLayout::mono})
+    for (const Calibration& calibration : {pinhole_rig(), orthographic_rig(false), orthographic_rig(true)}) {
+      const Sampler sampler(calibration, {}, layout, {});
+      const RadianceImage image = irregular_image(layout);
+      const auto n_channels = static_cast<std::size_t>(acquire::n_channels(layout));
+      brdf::TableAccumulator accumulator(n_channels);
+      const SampleCounts fast = sampler.accumulate_view(image, {}, accumulator);
+      const brdf::HalfAngleTable table = accumulator.table(false);
+
+      std::vector<std::map<std::size_t, PlainSums>> values(n_channels), bounds(n_channels);
+      const SampleCounts plain = sampler.sample_view(image, {}, [&](std::span<const Sample> samples) {
+        for (const Sample& s : samples) (s.clipped ? bounds : values)[static_cast<std::size_t>(s.channel)][brdf::TableGrid::index(s.coordinates)].add(s);
+      });
+      EXPECT_EQ(fast.used, plain.used);
+      EXPECT_EQ(fast.clipped, plain.clipped);
+      EXPECT_EQ(fast.invalid, plain.invalid);
+      EXPECT_EQ(fast.grazing, plain.grazing);
+      EXPECT_EQ(fast.blurred, plain.blurred);
+      EXPECT_EQ(fast.masked, plain.masked);
+      for (std::size_t c = 0; c < n_channels; ++c) {
+        const auto& t = table.channels[c];
+        std::size_t n_values = 0;
+        for (const auto& [i, s] : values[c]) {
+          ASSERT_EQ(t.origin[i], brdf::CellOrigin::measured);
+          ASSERT_EQ(t.count[i], s.count);
+          ++n_values;
+          EXPECT_NEAR(t.mean[i] / (s.value / s.weight), 1, 1e-6);
+          EXPECT_NEAR(t.variance[i] / (s.variance / (s.weight * s.weight)), 1, 3e-6);
+          EXPECT_NEAR(t.theta_h[i], s.theta_h / s.weight, 1e-6);
+          EXPECT_NEAR(t.theta_d[i], s.theta_d / s.weight, 1e-6);
+          const double sines = std::sin(s.theta_h / s.weight) * std::sin(s.theta_d / s.weight);
+          EXPECT_NEAR(t.phi_d[i], s.phi_d / s.weight, 1e-6 + 2e-6 / sines);  // at the peak phi_d turns fast
+          const double spread = (s.along + s.across) / s.weight;
+          EXPECT_NEAR(t.footprint_along[i], s.along / s.weight, 1e-3 * spread);
+          EXPECT_NEAR(t.footprint_across[i], s.across / s.weight, 1e-3 * spread);
+        }
+        for (const auto& [i, s] : bounds[c]) {
+          if (values[c].contains(i)) continue;
+          ASSERT_EQ(t.origin[i], brdf::CellOrigin::clipped);
+          ASSERT_EQ(t.count[i], s.count);
+          EXPECT_NEAR(t.mean[i] / (s.value / s.weight), 1, 1e-6);
+        }
+        EXPECT_EQ(std::count(t.origin.begin(), t.origin.end(), brdf::CellOrigin::measured), static_cast<std::ptrdiff_t>(n_values));
+      }
+    }
+}
+
+TEST(Samples, AccumulationGivesTheSameBytesForAnyNumberOfThreadsAndAnyProcessor) {
+  const Sampler sampler(pinhole_rig(), {}, acquire::PixelLayout::bayer_rggb, {});
+  const RadianceImage image = irregular_image(acquire::PixelLayout::bayer_rggb);
+  const auto table = [&](unsigned threads, bool vectors) {
+    tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
+    use_sample_vectors(vectors);
+    brdf::TableAccumulator accumulator(3);
+    sampler.accumulate_view(image, {}, accumulator);
+    use_sample_vectors(true);
+    return accumulator.table(true);
+  };
+  const auto one = table(1, true);
+  for (const auto& other : {table(4, true), table(2, false)})
+    for (std::size_t c = 0; c < 3; ++c) {
+      EXPECT_TRUE(one.channels[c].mean == other.channels[c].mean);
+      EXPECT_TRUE(one.channels[c].variance == other.channels[c].variance);
+      EXPECT_TRUE(one.channels[c].phi_d == other.channels[c].phi_d);
+      EXPECT_TRUE(one.channels[c].footprint_mixed == other.channels[c].footprint_mixed);
+      EXPECT_TRUE(one.channels[c].origin == other.channels[c].origin);
+    }
+}
+
+TEST(Samples, WhereAPartOfTheEmitterIsBelowTheHorizonThereIsNoSample) {
+  Calibration calibration = orthographic_rig(false);
+  SampleOptions options;
+  options.min_cosine = 0.01;
+  const auto smallest_cosine = [&](double diameter) {
+    calibration.geometry.lights[0].diameter = diameter;
+    const Sampler sampler(calibration, {}, acquire::PixelLayout::mono, options);
+    double smallest = 1;
+    for (const Sample& s : all_samples(sampler, constant_image(acquire::PixelLayout::mono, 1.0f)))
+      smallest = std::min(smallest, brdf::half_angle_cosines(s.coordinates).n_dot_i);
+    return smallest;
+  };
+  EXPECT_LT(smallest_cosine(0), 0.03);
+  // Radius 0.1 m, at least 0.9899 - 0.05 m away and at most 0.9899: the sine of the half angle is 0.101 to 0.1064.
+  EXPECT_GT(smallest_cosine(0.2), 0.101);
+  EXPECT_LT(smallest_cosine(0.2), 0.12);
 }
 
 TEST(Samples, ImageOfAnotherSizeIsRefused) {

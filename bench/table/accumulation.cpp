@@ -1,0 +1,162 @@
+#include <fmt/format.h>
+#include <sys/resource.h>
+#include <tbb/global_control.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <map>
+#include <random>
+
+#include "bench/table/parts.h"
+#include "libacquire/rig_description.h"
+#include "libbrdf/files.h"
+#include "libbrdf/table_accumulator.h"
+#include "libcalib/calibration.h"
+#include "libcalib/samples.h"
+
+/// Samples into cells: time per sample, error against a plain loop in double, memory.
+namespace lacquer::bench {
+
+namespace {
+
+double seconds() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+double cpu_seconds() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_utime.tv_sec + usage.ru_stime.tv_sec) + 1e-6 * static_cast<double>(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
+}
+double peak_mb() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_maxrss) / 1024;
+}
+
+/// Values without a paint: what they are does not change the time.
+calib::RadianceImage image_for(const acquire::RigDescription& rig) {
+  calib::RadianceImage image;
+  image.width = rig.geometry.camera.width;
+  image.height = rig.geometry.camera.height;
+  image.layout = rig.sensor.layout;
+  const std::size_t n = static_cast<std::size_t>(image.width) * static_cast<std::size_t>(image.height) *
+                        static_cast<std::size_t>(acquire::values_per_pixel(image.layout));
+  image.radiance.resize(n);
+  image.variance.resize(n);
+  image.flags.resize(n);
+  std::mt19937 generator(1);
+  std::uniform_real_distribution<float> uniform(100, 1000);
+  for (std::size_t i = 0; i < n; ++i) image.radiance[i] = uniform(generator), image.variance[i] = image.radiance[i] / 10;
+  return image;
+}
+
+/// Sums of a cell in double: value, variance, coordinates.
+struct PlainSums {
+  double weight = 0, value = 0, variance = 0, theta_h = 0, theta_d = 0, phi_d = 0;
+  std::size_t count = 0;
+};
+
+/// Reads and writes as much memory as two cores can: the cells' sums cannot be faster than this.
+double copy_gb_per_s() {
+  std::vector<float> from(1 << 25, 1.0f), to(from.size());
+  double best = 1e9;
+  for (int k = 0; k < 5; ++k) {
+    const double begin = seconds();
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, from.size(), 1 << 20),
+                      [&](const auto& r) { std::copy(&from[r.begin()], &from[r.begin()] + r.size(), &to[r.begin()]); });
+    best = std::min(best, seconds() - begin);
+  }
+  return 8.0 * static_cast<double>(from.size()) / best / 1e9;
+}
+
+void compare(const brdf::HalfAngleTable& table, const std::vector<std::vector<PlainSums>>& plain) {
+  double mean = 0, variance = 0, angle = 0;
+  std::size_t cells = 0, other_count = 0;
+  for (std::size_t c = 0; c < plain.size(); ++c)
+    for (std::size_t i = 0; i < brdf::TableGrid::n_cells; ++i) {
+      const PlainSums& p = plain[c][i];
+      const auto& t = table.channels[c];
+      other_count += t.count[i] != p.count;
+      if (p.count == 0) continue;
+      ++cells;
+      mean = std::max(mean, std::abs(t.mean[i] / (p.value / p.weight) - 1));
+      variance = std::max(variance, std::abs(t.variance[i] / (p.variance / (p.weight * p.weight)) - 1));
+      angle = std::max({angle, std::abs(t.theta_h[i] - p.theta_h / p.weight), std::abs(t.theta_d[i] - p.theta_d / p.weight)});
+    }
+  fmt::print("against the plain loop: {} cells, {} with another count; largest difference of the mean {:.1e}, of the variance {:.1e} (relative),\n"
+             "  of mean theta_h and theta_d {:.1e} rad\n", cells, other_count, mean, variance, angle);
+}
+
+}  // namespace
+
+void accumulation(const std::filesystem::path& source, bool smoke) {
+  const auto file = source / "rigs" / (smoke ? "simulated-quick.toml" : "simulated-paper.toml");
+  const acquire::RigDescription rig = acquire::parse_rig(brdf::read_text(file), file);
+  const calib::Calibration calibration = calib::calibration_from_rig(rig);
+  const std::size_t n_channels = static_cast<std::size_t>(acquire::n_channels(rig.sensor.layout));
+  const calib::RadianceImage image = image_for(rig);
+  double set_up = seconds();
+  auto sampler = std::make_unique<calib::Sampler>(calibration, rig.mask, rig.sensor.layout, calib::SampleOptions{});
+  set_up = seconds() - set_up;
+
+  brdf::TableAccumulator accumulator(n_channels);
+  std::vector<double> ns;
+  std::size_t samples = 0;
+  std::vector<calib::Illumination> views;
+  for (const auto& view : rig.plan)
+    if (view.kind == acquire::ViewKind::measurement) views.push_back({static_cast<std::size_t>(view.light), view.turntable_angle, 1});
+  if (smoke) views.resize(3);
+  double total = 0, cpu = cpu_seconds();
+  for (const auto& view : views) {
+    const double begin = seconds();
+    const calib::SampleCounts counts = sampler->accumulate_view(image, view, accumulator);
+    const double time = seconds() - begin;
+    total += time;
+    samples += counts.used;
+    if (counts.used > 1000) ns.push_back(time / static_cast<double>(counts.used) * 1e9);
+  }
+  cpu = cpu_seconds() - cpu;
+  std::sort(ns.begin(), ns.end());
+  fmt::print("{}: {} images of {} x {}, {} samples, all geometry and angles included\n", rig.name, views.size(), image.width, image.height, samples);
+  fmt::print("accumulation: {:.2f} ns per sample over all views ({:.2f} s), {:.2f} in the median view, {:.2f} in the best;\n"
+             "  {:.2f} ns of processor time; geometry of the pixels {:.2f} s once\n",
+             total / static_cast<double>(samples) * 1e9, total, ns.empty() ? 0.0 : ns[ns.size() / 2], ns.empty() ? 0.0 : ns[0],
+             cpu / static_cast<double>(samples) * 1e9, set_up);
+  sampler.reset();
+  {
+    const double begin = seconds();
+    const brdf::HalfAngleTable table = accumulator.table(true);
+    fmt::print("table from the sums: {:.2f} s; peak memory of the process until here {:.0f} MB\n", seconds() - begin, peak_mb());
+  }
+  const double gb = copy_gb_per_s();
+  fmt::print("copying memory: {:.1f} GB/s, at which reading a pixel (57 + 9 bytes) and updating a cell (48 twice) would take {:.1f} ns\n", gb, 162 / gb);
+
+  // The same views, a few of them, by the plain loop.
+  sampler = std::make_unique<calib::Sampler>(calibration, rig.mask, rig.sensor.layout, calib::SampleOptions{});
+  const std::size_t step = smoke ? 1 : 30;
+  brdf::TableAccumulator again(n_channels);
+  std::vector<std::vector<PlainSums>> plain(n_channels, std::vector<PlainSums>(brdf::TableGrid::n_cells));
+  double plain_time = 0;
+  std::size_t plain_samples = 0;
+  for (std::size_t v = 0; v < views.size(); v += step) {
+    sampler->accumulate_view(image, views[v], again);
+    const double begin = cpu_seconds();
+    plain_samples += sampler->sample_view(image, views[v], [&](std::span<const calib::Sample> all) {
+      for (const calib::Sample& s : all) {
+        PlainSums& p = plain[static_cast<std::size_t>(s.channel)][brdf::TableGrid::index(s.coordinates)];
+        p.weight += s.weight;
+        p.value += s.weight * s.value;
+        p.variance += s.weight * s.weight * s.variance;
+        p.theta_h += s.weight * s.coordinates.theta_h;
+        p.theta_d += s.weight * s.coordinates.theta_d;
+        p.phi_d += s.weight * brdf::fold_phi_d(s.coordinates.phi_d);
+        ++p.count;
+      }
+    }).used;
+    plain_time += cpu_seconds() - begin;
+  }
+  fmt::print("plain loop, one core: {:.0f} ns of processor time per sample\n", plain_time / static_cast<double>(plain_samples) * 1e9);
+  compare(again.table(false), plain);
+}
+
+}  // namespace lacquer::bench
