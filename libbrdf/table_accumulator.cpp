@@ -28,7 +28,9 @@ void set_cell(TableChannel& t, std::size_t i, const CellSums& s) {
   t.theta_h[i] = static_cast<float>(centre.theta_h + s.theta_h / s.weight);
   t.theta_d[i] = static_cast<float>(centre.theta_d + s.theta_d / s.weight);
   t.phi_d[i] = stored_phi_d(centre.phi_d + s.phi_d / s.weight);
-  t.footprint_along[i] = static_cast<float>(s.along / s.weight);
+  // The spread about the samples' mean, not about the centre.
+  const double mean = s.theta_h / s.weight, squared_slope = reachable_cells().squared_slope(TableGrid::cell(i).theta_h);
+  t.footprint_along[i] = static_cast<float>(std::max(0.0, s.along / s.weight - squared_slope * mean * mean));
   t.footprint_across[i] = static_cast<float>(s.across / s.weight);
   t.footprint_mixed[i] = static_cast<float>(s.mixed / s.weight);
   t.origin[i] = s.bounds ? CellOrigin::clipped : CellOrigin::measured;
@@ -62,7 +64,8 @@ CellSums sums_of(const TableGrid::Cell& cell, const HalfDiff& c, double value, d
   s.theta_h = static_cast<float>(weight * (c.theta_h - centre.theta_h));
   s.theta_d = static_cast<float>(weight * (c.theta_d - centre.theta_d));
   s.phi_d = static_cast<float>(weight * (fold_phi_d(c.phi_d) - centre.phi_d));
-  s.along = static_cast<float>(weight * footprint.along);
+  const double offset = c.theta_h - centre.theta_h;
+  s.along = static_cast<float>(weight * (footprint.along + reachable_cells().squared_slope(cell.theta_h) * offset * offset));
   s.across = static_cast<float>(weight * footprint.across);
   s.mixed = static_cast<float>(weight * footprint.mixed);
   s.count = 1;
@@ -73,7 +76,8 @@ CellSums sums_of(const TableGrid::Cell& cell, const HalfDiff& c, double value, d
 
 ReachableCells::ReachableCells() {
   // Both cosines are positive where |cos(phi_d)| < cot(theta_h) cot(theta_d), most where both angles are smallest; one cell to spare.
-  for (int h = 0; h < TableGrid::n_theta_h; ++h)
+  for (int h = 0; h < TableGrid::n_theta_h; ++h) {
+    squared_slope_[static_cast<std::size_t>(h)] = static_cast<float>(std::pow(std::cos(TableGrid::centre(TableGrid::Cell{h, 0, 0}).theta_h), -4));
     for (int d = 0; d < TableGrid::n_theta_d; ++d) {
       const double tangents = std::tan(TableGrid::theta_h_edge(h)) * std::tan(d * pi / 2 / TableGrid::n_theta_d);
       const double phi = tangents > 1 ? std::acos(1 / tangents) : 0.0;
@@ -83,6 +87,7 @@ ReachableCells::ReachableCells() {
       offset_[row] = size_ - static_cast<std::uint32_t>(first);
       size_ += static_cast<std::uint32_t>(TableGrid::n_phi_d - 2 * first);
     }
+  }
 }
 
 const ReachableCells& reachable_cells() {

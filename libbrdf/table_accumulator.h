@@ -19,7 +19,9 @@ struct alignas(16) CellSums {
   double weight = 0, value = 0;              ///< of w, of w * f
   float variance = 0;                        ///< of w^2 * variance of f
   float theta_h = 0, theta_d = 0, phi_d = 0; ///< of w * (coordinate - cell's centre)
-  float along = 0, across = 0, mixed = 0;    ///< of w * footprint
+  /// Of w * footprint; `along` also of w * ((theta_h - cell's centre) dtan(theta_h)/dtheta_h)^2: samples spread over a cell blur it as a
+  /// footprint does.
+  float along = 0, across = 0, mixed = 0;
   std::uint32_t count : 31 = 0;
   std::uint32_t bounds : 1 = 0;              ///< of clipped samples; they give way to the first other one
 
@@ -54,12 +56,15 @@ class ReachableCells {
   bool contains(int row, int phi_d) const {
     return phi_d >= first_[static_cast<std::size_t>(row)] && phi_d < TableGrid::n_phi_d - first_[static_cast<std::size_t>(row)];
   }
+  /// (d tan(theta_h) / d theta_h)^2 at the centre of a theta_h row.
+  float squared_slope(int theta_h) const { return squared_slope_[static_cast<std::size_t>(theta_h)]; }
   int first_phi_d(int row) const { return first_[static_cast<std::size_t>(row)]; }  ///< the last one lies as far from the other end
 
  private:
   static constexpr std::size_t n_rows = std::size_t{TableGrid::n_theta_h} * TableGrid::n_theta_d;
   std::array<std::uint32_t, n_rows> offset_;  ///< modulo 2^32, of phi_d = 0
   std::array<std::uint8_t, n_rows> first_;
+  std::array<float, TableGrid::n_theta_h> squared_slope_;
   std::uint32_t size_ = 0;
 };
 const ReachableCells& reachable_cells();

@@ -68,6 +68,7 @@ void Sampler::fill(const View& view, const KernelView& kernel, const RadianceIma
     const std::size_t pixel = block.first + k;
     if (block.samples.fate[k] == SampleBlock::doubtful) resolve(view, pixel, k, block.samples);
     if (block.samples.fate[k] != SampleBlock::used) continue;
+    block.samples.along[k] += cells.squared_slope(block.samples.row[k] / brdf::TableGrid::n_theta_d) * block.samples.theta_h[k] * block.samples.theta_h[k] / block.samples.weight[k];
     block.slot[k] = cells.slot(block.samples.row[k], block.samples.cell_phi_d[k]);
     for (std::size_t c = 0; c < per_pixel; ++c) {
       const std::size_t value = pixels_.index[pixel] * per_pixel + c;

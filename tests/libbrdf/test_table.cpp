@@ -100,7 +100,8 @@ TEST(TableAccumulator, MeanVarianceAndCoordinatesByHand) {
   EXPECT_NEAR(t.theta_h[i] / degree, 10.35, 1e-5);           // (10.2 + 3 * 10.4) / 4; stored as float
   EXPECT_NEAR(t.theta_d[i] / degree, 40.5, 1e-5);
   EXPECT_NEAR(t.phi_d[i] / degree, 50.4, 1e-5);
-  EXPECT_FLOAT_EQ(t.footprint_along[i], 4e-4f);     // (1 * 1e-4 + 3 * 5e-4) / 4
+  // (1 * 1e-4 + 3 * 5e-4) / 4, and the variance of tan(theta_h): (1 * 3 / 16) (tan 10.4 deg - tan 10.2 deg)^2 = 2.438e-6
+  EXPECT_NEAR(t.footprint_along[i], 4.0244e-4, 2e-8);
   EXPECT_FLOAT_EQ(t.footprint_across[i], 3e-4f);    // (1 * 6e-4 + 3 * 2e-4) / 4
   EXPECT_FLOAT_EQ(t.footprint_mixed[i], -2.5e-4f);  // (1 * 2e-4 - 3 * 4e-4) / 4
   EXPECT_EQ(std::count(t.origin.begin(), t.origin.end(), CellOrigin::empty),
@@ -128,7 +129,7 @@ TEST(TableAccumulator, SymmetryFillsEmptyCellsOnlyAndSaysSo) {
   EXPECT_EQ(t.origin[i], CellOrigin::symmetric);
   EXPECT_EQ(t.mean[i], 2.0f);
   EXPECT_EQ(t.variance[i], 0.25f);
-  EXPECT_EQ(t.footprint_along[i], 1e-4f);
+  EXPECT_FLOAT_EQ(t.footprint_along[i], 1e-4f);
   EXPECT_EQ(t.footprint_across[i], 2e-4f);
   EXPECT_EQ(t.footprint_mixed[i], -5e-5f);  // seen in the mirror
   EXPECT_NEAR(t.phi_d[i] / degree, 129.7, 1e-5);
@@ -149,7 +150,7 @@ TEST(TableAccumulator, ACellOfClippedSamplesAloneHoldsTheirMeanBound) {
   EXPECT_FLOAT_EQ(t.mean[i], 5.0f);                          // as for values: (1 * 2 + 3 * 6) / 4
   EXPECT_FLOAT_EQ(t.variance[i], (0.01f + 9 * 0.04f) / 16);
   EXPECT_NEAR(t.theta_h[i] / degree, 10.35, 1e-5);
-  EXPECT_FLOAT_EQ(t.footprint_along[i], 4e-4f);
+  EXPECT_NEAR(t.footprint_along[i], 4.0244e-4, 2e-8);
   // A bound is not passed on to the mirror cell.
   EXPECT_EQ(std::count(t.origin.begin(), t.origin.end(), CellOrigin::empty), static_cast<std::ptrdiff_t>(TableGrid::n_cells) - 1);
 }
