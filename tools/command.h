@@ -19,6 +19,8 @@ void add_devices(CLI::App& app, Context& context);
 void add_merge(CLI::App& app, Context& context);
 void add_calibrate(CLI::App& app, Context& context);
 void add_tabulate(CLI::App& app, Context& context);
+void add_fill(CLI::App& app, Context& context);
+void add_check(CLI::App& app, Context& context);
 void add_fit(CLI::App& app, Context& context);
 void add_eval(CLI::App& app, Context& context);
 void add_compare(CLI::App& app, Context& context);

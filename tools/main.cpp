@@ -44,6 +44,8 @@ int main(int argc, char** argv) {
   tools::add_merge(app, context);
   tools::add_calibrate(app, context);
   tools::add_tabulate(app, context);
+  tools::add_fill(app, context);
+  tools::add_check(app, context);
   tools::add_fit(app, context);
   tools::add_eval(app, context);
   tools::add_compare(app, context);

@@ -2,9 +2,11 @@
 
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "libacquire/session.h"
 #include "libbrdf/files.h"
+#include "libbrdf/physical_checks.h"
 #include "libcalib/calibration.h"
 #include "libcalib/samples.h"
 #include "tools/command.h"
@@ -32,10 +34,25 @@ void add_tabulate(CLI::App& app, Context& context) {
     const std::filesystem::path calibration_file = options->calibration.empty() ? folder / "calibration.json" : std::filesystem::path(options->calibration);
     const calib::Calibration calibration = calib::read_calibration(calibration_file);
     calib::Tabulation result = calib::tabulate_session(session, calibration, options->samples, stderr_progress(context));
-    result.table.provenance_json = provenance_json(context, {(folder / "session.json").string(), calibration_file.string()});
+    auto provenance = nlohmann::ordered_json::parse(provenance_json(context, {(folder / "session.json").string(), calibration_file.string()}));
+    std::string repeatability;
+    for (const auto& channel : result.table.channels) {
+      const brdf::MirrorRepeatability r = brdf::mirror_repeatability(channel);
+      provenance["mirror"].push_back({{"pairs", r.n_pairs}, {"bias_log", r.bias_log}, {"scatter_log", r.scatter_log}, {"expected_log", r.expected_log}});
+      repeatability += fmt::format("mirror cells (phi_d, 180 deg - phi_d): {} pairs, scatter of ln {:.4f}, by the variances {:.4f}, bias {:+.4f}\n", r.n_pairs,
+                                   r.scatter_log, r.expected_log, r.bias_log);
+    }
+    std::size_t n_measured = 0, n_narrow = 0;
+    const auto& middle = result.table.channels[result.table.channels.size() / 2];
+    for (std::size_t i = 0; i < brdf::TableGrid::n_cells; ++i) {
+      n_measured += middle.origin[i] == brdf::CellOrigin::measured;
+      n_narrow += middle.origin[i] == brdf::CellOrigin::measured && brdf::smaller_than_footprint(middle, i);
+    }
+    repeatability += fmt::format("cells narrower in theta_h than a pixel's footprint: {} of {}\n", n_narrow, n_measured);
+    result.table.provenance_json = provenance.dump();
     const std::filesystem::path output = options->output.empty() ? folder / "table.exr" : std::filesystem::path(options->output);
     brdf::write_table(output, result.table);
-    fmt::print("{}\ntable: {}\n", coverage_text(result), output.string());
+    fmt::print("{}\n{}table: {}\n", coverage_text(result), repeatability, output.string());
   });
 }
 
