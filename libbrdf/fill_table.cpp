@@ -23,11 +23,24 @@ constexpr int max_neighbours = 32;
 struct Pattern {
   int n = 0;
   std::array<Place, max_neighbours> offset;
+
+  /// Cells to the nearest one.
+  int nearest() const {
+    int cells = 1000;
+    for (int k = 0; k < n; ++k) {
+      const Place& o = offset[static_cast<std::size_t>(k)];
+      cells = std::min(cells, std::max({std::abs(o.h), std::abs(o.d), std::abs(o.p)}));
+    }
+    return cells;
+  }
 };
 
 /// Wide gaps are unlike any place that is known around them: their sigma is this much larger than the trials say.
-constexpr int wide_gap = 5;  // cells to the nearest data
 constexpr double wide_gap_factor = 1.3;
+
+/// 0: data in the next cell but one, 1: up to five cells away, 2: a wide gap.
+constexpr std::size_t n_gaps = 3;
+std::size_t gap_class(int cells_to_nearest) { return cells_to_nearest <= 2 ? 0 : cells_to_nearest <= 5 ? 1 : 2; }
 
 /// Covariance of the logarithm after the rows' means were taken off. The absolute size matters little, cross-validation sets the variance.
 constexpr double amplitude = 0.15;                                   // of what the drifts do not explain
@@ -38,7 +51,7 @@ constexpr double nugget = 1e-4;                                      // of the l
 
 struct Prediction {
   double log, variance;
-  bool wide_gap;
+  std::size_t gap;  // class
 };
 
 class Kriging {
@@ -94,7 +107,7 @@ class Kriging {
     }
     if (n < 4) return std::nullopt;
     Prediction result = krige(points.data(), n, 1 / length_scale, data_.row_mean(at.h));
-    result.wide_gap = nearest > wide_gap;
+    result.gap = gap_class(nearest);
     return result;
   }
 
@@ -136,7 +149,7 @@ class Kriging {
       mean += y[i] * k[i];
       variance -= k[i] * k[i];
     }
-    return {mean + row_mean, std::max(variance, nugget * nugget), false};
+    return {mean + row_mean, std::max(variance, nugget * nugget), 0};
   }
 
   FoldedChannel data_;
@@ -154,21 +167,22 @@ std::vector<Place> holes_of(const Kriging& kriging, double min_cosine) {
 }
 
 /// How far predictions are off where the truth is known, beside what they say of themselves. The paint is less smooth towards grazing and at
-/// its peak: the factor on sigma is that of a class of places.
+/// its peak: the factor on sigma is that of a class of gaps and places.
 struct Calibration {
-  static constexpr std::size_t n_grazing = 4, n_rows = 3, n_classes = n_grazing * n_rows;
+  static constexpr std::size_t n_grazing = 4, n_rows = 3, n_classes = n_gaps * n_grazing * n_rows;
   double length_scale = 1, mean_abs_log = 0;
   std::array<double, n_grazing - 1> limits{};  // of ln(cos(theta_i) cos(theta_o)), between the classes
   std::array<double, n_classes> factor;
   Calibration() { factor.fill(1); }
-  std::size_t class_of(int theta_h, double log_cosines) const {
+  std::size_t class_of(std::size_t gap, int theta_h, double log_cosines) const {
     const auto grazing = static_cast<std::size_t>(std::upper_bound(limits.begin(), limits.end(), log_cosines) - limits.begin());
-    return grazing * n_rows + static_cast<std::size_t>(theta_h) * n_rows / FoldedChannel::n_h;
+    return (gap * n_grazing + grazing) * n_rows + static_cast<std::size_t>(theta_h) * n_rows / FoldedChannel::n_h;
   }
 };
 
 struct Trial {
   double own_sigma, error;
+  std::size_t gap;
   int theta_h;
   double log_cosines;
 };
@@ -184,8 +198,13 @@ std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& h
   const auto below = [&](int n) { return static_cast<int>(generator() % static_cast<unsigned>(n)); };
   std::vector<std::pair<Place, Pattern>> places;
   for (std::size_t t = 0; t < n_trials && !holes.empty(); ++t) {
-    const Place& hole = holes[generator() % holes.size()];
-    Pattern pattern = kriging.pattern(hole);
+    // Gaps of every width in equal parts, as far as there are any.
+    Place hole{};
+    Pattern pattern;
+    for (int draw = 0; draw < 6 && (draw == 0 || pattern.n < 4 || gap_class(pattern.nearest()) != t % n_gaps); ++draw) {
+      hole = holes[generator() % holes.size()];
+      pattern = kriging.pattern(hole);
+    }
     for (int attempt = 0; attempt < 48 && pattern.n >= 4; ++attempt) {
       // Where every other row is missing no known place has its neighbours like the holes do: then twice as far apart.
       if (attempt == 24)
@@ -210,7 +229,7 @@ std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& h
     const auto p = kriging.predict(donor, pattern, length_scale);
     if (p)
       trials[k] = {std::sqrt(p->variance + kriging.data().variance(i)),
-                   std::abs(p->log - kriging.data().log(i) - kriging.data().row_mean(donor.h)), donor.h, kriging.log_cosines(donor)};
+                   std::abs(p->log - kriging.data().log(i) - kriging.data().row_mean(donor.h)), p->gap, donor.h, kriging.log_cosines(donor)};
   });
   std::erase_if(trials, [](const Trial& t) { return t.own_sigma == 0; });
   return trials;
@@ -236,11 +255,18 @@ Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, s
   for (const Trial& t : trials) all.push_back(t.error / (1.96 * t.own_sigma)), cosines.push_back(t.log_cosines);
   std::sort(cosines.begin(), cosines.end());
   for (std::size_t c = 1; c < Calibration::n_grazing; ++c) best.limits[c - 1] = cosines[c * cosines.size() / Calibration::n_grazing];
-  best.factor.fill(percentile_95(all));
+  const double overall = percentile_95(all);
+  std::array<std::vector<double>, n_gaps> by_gap;
   std::array<std::vector<double>, Calibration::n_classes> ratios;
-  for (const Trial& t : trials) ratios[best.class_of(t.theta_h, t.log_cosines)].push_back(t.error / (1.96 * t.own_sigma));
-  for (std::size_t c = 0; c < ratios.size(); ++c)
-    if (ratios[c].size() >= enough) best.factor[c] = std::max(percentile_95(ratios[c]), 1e-3);
+  for (const Trial& t : trials) {
+    const double ratio = t.error / (1.96 * t.own_sigma);
+    by_gap[t.gap].push_back(ratio);
+    ratios[best.class_of(t.gap, t.theta_h, t.log_cosines)].push_back(ratio);
+  }
+  for (std::size_t c = 0; c < Calibration::n_classes; ++c) {
+    auto& gap = by_gap[c / (Calibration::n_classes / n_gaps)];
+    best.factor[c] = std::max(1e-3, ratios[c].size() >= enough ? percentile_95(ratios[c]) : gap.size() >= enough ? percentile_95(gap) : overall);
+  }
   return best;
 }
 
@@ -272,9 +298,10 @@ void copy_mirror(TableChannel& t, std::size_t i, std::size_t from) {
 
 FillReport fill_channel(TableChannel& t, std::size_t channel, const FillOptions& options) {
   const Kriging kriging(t);
+  FillReport report;
+  if (kriging.data().n_known() == 0) return report;
   const std::vector<Place> holes = holes_of(kriging, options.min_cosine);
   const Calibration calibration = calibrate(kriging, holes, options.n_trials);
-  FillReport report;
   report.n_data = kriging.data().n_known();
   report.length_scale = calibration.length_scale;
   report.trial_mean_abs_log = calibration.mean_abs_log;
@@ -303,7 +330,8 @@ FillReport fill_channel(TableChannel& t, std::size_t channel, const FillOptions&
   const auto fill_cell = [&](std::size_t i, const Place& place, const std::optional<Prediction>& p) {
     if (has_value(t.origin[i])) return;  // weak data (no logarithm), or filled before
     const bool clipped = t.origin[i] == CellOrigin::clipped;
-    const double bound = clipped ? t.mean[i] : 0, factor = calibration.factor[calibration.class_of(place.h, kriging.log_cosines(place))] * (p && p->wide_gap ? wide_gap_factor : 1);
+    const double bound = clipped ? t.mean[i] : 0, factor = calibration.factor[calibration.class_of(p ? p->gap : 0, place.h, kriging.log_cosines(place))] *
+                          (p && p->gap == n_gaps - 1 ? wide_gap_factor : 1);
     const double sigma = p ? factor * std::sqrt(p->variance) : 0;
     if (p && sigma <= options.max_sigma && std::exp(p->log) >= bound) {
       set_cell(t, i, std::exp(p->log), sigma, CellOrigin::filled);

@@ -1,6 +1,7 @@
 #include "libbrdf/table.h"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
 #include <numbers>
@@ -92,29 +93,39 @@ TableBrdf::TableBrdf(HalfAngleTable table, std::string description, bool interpo
 std::optional<glm::dvec3> TableBrdf::do_value(const Directions& d, const Footprint<double>& /*footprint*/) const {
   const HalfDiff c = half_diff(d);
   const std::size_t nearest = TableGrid::index(c);
-  glm::dvec3 result(0.0);
-  const double h = theta_h_coordinate(c.theta_h) - 0.5;
-  const double t = c.theta_d / half_pi * TableGrid::n_theta_d - 0.5;
-  const double p = fold_phi_d(c.phi_d) / pi * TableGrid::n_phi_d - 0.5;
-  const int h0 = static_cast<int>(std::floor(h)), t0 = static_cast<int>(std::floor(t)), p0 = static_cast<int>(std::floor(p));
+  for (const TableChannel& channel : table_.channels)
+    if (!has_value(channel.origin[nearest])) return std::nullopt;
 
-  for (std::size_t channel = 0; channel < table_.channels.size(); ++channel) {
-    const auto& values = table_.channels[channel];
-    if (!has_value(values.origin[nearest])) return std::nullopt;
-    double sum = 0, weights = 0;
-    for (int corner = 0; interpolate_ && corner < 8; ++corner) {
+  // The corners around the place, the same for all channels.
+  std::array<std::size_t, 8> cells;
+  std::array<double, 8> weights;
+  int n = 0;
+  if (interpolate_) {
+    const double h = theta_h_coordinate(c.theta_h) - 0.5;
+    const double t = c.theta_d / half_pi * TableGrid::n_theta_d - 0.5;
+    const double p = fold_phi_d(c.phi_d) / pi * TableGrid::n_phi_d - 0.5;
+    const int h0 = static_cast<int>(std::floor(h)), t0 = static_cast<int>(std::floor(t)), p0 = static_cast<int>(std::floor(p));
+    for (int corner = 0; corner < 8; ++corner) {
       const int dh = corner & 1, dt = (corner >> 1) & 1, dp = corner >> 2;
       const double weight = (dh ? h - h0 : 1 - (h - h0)) * (dt ? t - t0 : 1 - (t - t0)) * (dp ? p - p0 : 1 - (p - p0));
       if (weight <= 0) continue;
       // theta beyond the first or last centre: constant; phi_d wraps by reciprocity.
-      const TableGrid::Cell cell{std::clamp(h0 + dh, 0, TableGrid::n_theta_h - 1), std::clamp(t0 + dt, 0, TableGrid::n_theta_d - 1),
-                                 (p0 + dp + TableGrid::n_phi_d) % TableGrid::n_phi_d};
-      const std::size_t i = TableGrid::index(cell);
-      if (!has_value(values.origin[i])) continue;
-      sum += weight * values.mean[i];
-      weights += weight;
+      const int wrapped = p0 + dp < 0 ? TableGrid::n_phi_d - 1 : p0 + dp >= TableGrid::n_phi_d ? 0 : p0 + dp;
+      weights[static_cast<std::size_t>(n)] = weight;
+      cells[static_cast<std::size_t>(n++)] = TableGrid::index(TableGrid::Cell{std::clamp(h0 + dh, 0, TableGrid::n_theta_h - 1),
+                                                                              std::clamp(t0 + dt, 0, TableGrid::n_theta_d - 1), wrapped});
     }
-    result[static_cast<int>(channel)] = weights > 0 ? sum / weights : values.mean[nearest];
+  }
+  glm::dvec3 result(0.0);
+  for (std::size_t channel = 0; channel < table_.channels.size(); ++channel) {
+    const TableChannel& values = table_.channels[channel];
+    double sum = 0, total = 0;
+    for (std::size_t k = 0; k < static_cast<std::size_t>(n); ++k) {
+      if (!has_value(values.origin[cells[k]])) continue;
+      sum += weights[k] * values.mean[cells[k]];
+      total += weights[k];
+    }
+    result[static_cast<int>(channel)] = total > 0 ? sum / total : values.mean[nearest];
   }
   if (table_.channels.size() == 1) result = glm::dvec3(result.x);
   return result;

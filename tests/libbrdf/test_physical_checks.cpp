@@ -1,0 +1,129 @@
+#include "libbrdf/physical_checks.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+#include <numbers>
+#include <random>
+
+#include "libbrdf/error.h"
+
+namespace lacquer::brdf {
+namespace {
+
+/// Any function of the two directions.
+class FunctionBrdf final : public Brdf {
+ public:
+  using Function = std::function<std::optional<glm::dvec3>(const Directions&)>;
+  explicit FunctionBrdf(Function f) : f_(std::move(f)) {}
+  std::string description() const override { return "function"; }
+
+ private:
+  std::optional<glm::dvec3> do_value(const Directions& d, const Footprint<double>&) const override { return f_(d); }
+  Function f_;
+};
+
+CheckOptions quick() { return {.theta_i = {0, 0.5, 1.2}, .resolution = 90}; }
+
+TEST(PhysicalChecks, ADiffusePaintReflectsItsAlbedoWhateverTheAngle) {
+  const CookTorranceBrdf paint({glm::dvec3(0.2, 0.5, 1.0), {}});
+  const PhysicalChecks checks = check_physics(paint, quick());
+  EXPECT_EQ(checks.reciprocity.mean_abs_log, 0);
+  EXPECT_LT(checks.mirror.p95_abs_log, 1e-12);
+  EXPECT_EQ(checks.n_negative, 0u);
+  EXPECT_EQ(checks.n_undefined, 0u);
+  ASSERT_EQ(checks.reflectances.size(), 3u);
+  for (const Reflectance& r : checks.reflectances) {
+    EXPECT_NEAR(r.value.x, 0.2, 1e-3);  // the integral of cos / pi over the hemisphere is 1
+    EXPECT_NEAR(r.value.y, 0.5, 2.5e-3);
+    EXPECT_TRUE(r.conserves_energy());
+    EXPECT_EQ(r.undefined, 0);
+  }
+}
+
+TEST(PhysicalChecks, MoreThanAllLightIsFound) {
+  for (const Reflectance& r : check_physics(CookTorranceBrdf({glm::dvec3(0.2, 0.5, 1.2), {}}), quick()).reflectances) EXPECT_FALSE(r.conserves_energy());
+}
+
+TEST(PhysicalChecks, AnIrreciprocalAndAHandedPaintShowByHowMuch) {
+  const FunctionBrdf irreciprocal([](const Directions& d) { return glm::dvec3(d.wi.z > d.wo.z ? std::exp(0.1) : 1.0); });
+  EXPECT_NEAR(check_physics(irreciprocal, quick()).reciprocity.median_abs_log, 0.1, 1e-12);
+  const FunctionBrdf handed([](const Directions& d) { return glm::dvec3(d.wi.x * d.wo.y - d.wi.y * d.wo.x > 0 ? std::exp(0.2) : 1.0); });
+  const PhysicalChecks checks = check_physics(handed, quick());
+  EXPECT_NEAR(checks.mirror.median_abs_log, 0.2, 1e-12);
+}
+
+TEST(PhysicalChecks, NegativeAndUndefinedValuesAreCounted) {
+  const FunctionBrdf partly([](const Directions& d) -> std::optional<glm::dvec3> {
+    if (d.wo.z < 0.5) return std::nullopt;
+    return glm::dvec3(d.wo.z > 0.9 ? -0.25 : 1.0, 0, 1);
+  });
+  const PhysicalChecks checks = check_physics(partly, quick());
+  EXPECT_GT(checks.n_negative, 0u);
+  EXPECT_GT(checks.n_zero, checks.n_negative);
+  EXPECT_GT(checks.n_undefined, 0u);
+  EXPECT_EQ(checks.most_negative, -0.25);
+  for (const Reflectance& r : checks.reflectances) EXPECT_NEAR(r.undefined, 0.25, 5e-3);  // integral of 2 c dc from 0 to 0.5
+}
+
+/// Constant table of every reachable cell.
+HalfAngleTable constant_table(float value, float variance) {
+  HalfAngleTable table(1);
+  TableChannel& t = table.channels[0];
+  for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
+    t.mean[i] = value;
+    t.variance[i] = variance;
+    t.origin[i] = CellOrigin::measured;
+  }
+  return table;
+}
+
+TEST(PhysicalChecks, ErrorsOfATableReachItsReflectance) {
+  HalfAngleTable table = constant_table(0.2f, 0);
+  table.scale_sigma = 0.1;
+  const auto scaled = check_physics(TableBrdf(table, "scaled"), quick()).reflectances;
+  for (const Reflectance& r : scaled) EXPECT_NEAR(r.sigma.y, 0.1 * r.value.y, 1e-3);
+  const auto exact = check_physics(TableBrdf(constant_table(0.2f, 0), "exact"), quick()).reflectances;
+  const auto noisy = check_physics(TableBrdf(constant_table(0.2f, 1.0f), "noisy"), quick()).reflectances;
+  for (std::size_t k = 0; k < noisy.size(); ++k) {
+    EXPECT_GT(noisy[k].sigma.y, 2 * exact[k].sigma.y);
+    EXPECT_LT(noisy[k].sigma.y, 1.0);  // independent cells; one error common to all would give pi
+  }
+}
+
+TEST(PhysicalChecks, OptionsOutOfRangeAreNamed) {
+  const CookTorranceBrdf paint({glm::dvec3(0.2), {}});
+  EXPECT_THROW(check_physics(paint, {.max_theta = 2, .theta_i = {}}), Error);
+  EXPECT_THROW(check_physics(paint, {.theta_i = {}, .resolution = 0}), Error);
+  EXPECT_THROW(check_physics(paint, {.theta_i = {1.6}}), Error);
+}
+
+TEST(MirrorRepeatability, SaysTheNoiseAndTheBiasThatPairsHave) {
+  constexpr double sigma = 0.02, bias = 0.05;
+  HalfAngleTable table = constant_table(1.0f, static_cast<float>(sigma * sigma));
+  std::mt19937 generator(2);
+  std::normal_distribution<double> normal;
+  for (std::size_t i = 0; i < TableGrid::n_cells; ++i)
+    table.channels[0].mean[i] = static_cast<float>(1 + sigma * normal(generator));
+  const MirrorRepeatability noise = mirror_repeatability(table.channels[0]);
+  EXPECT_EQ(noise.n_pairs, TableGrid::n_cells / 2);
+  EXPECT_NEAR(noise.expected_log, sigma * std::numbers::sqrt2, 1e-3);
+  EXPECT_NEAR(noise.scatter_log, noise.expected_log, 2e-4);
+  EXPECT_NEAR(noise.bias_log, 0, 2e-4);
+  for (std::size_t i = 0; i < TableGrid::n_cells; ++i)
+    if (TableGrid::cell(i).phi_d < 90) table.channels[0].mean[i] *= static_cast<float>(std::exp(bias));
+  EXPECT_NEAR(mirror_repeatability(table.channels[0]).bias_log, bias, 2e-4);
+}
+
+TEST(SmallerThanFootprint, ComparesTheFootprintWithTheCellsWidth) {
+  TableChannel t;
+  const std::size_t i = TableGrid::index(TableGrid::Cell{2, 10, 10});  // theta_h 0.0444 to 0.1 deg: 9.7e-4 wide
+  t.footprint_along[i] = 1.0e-6f;
+  EXPECT_TRUE(smaller_than_footprint(t, i));
+  t.footprint_along[i] = 0.9e-6f;
+  EXPECT_FALSE(smaller_than_footprint(t, i));
+}
+
+}  // namespace
+}  // namespace lacquer::brdf
