@@ -2,10 +2,10 @@
 
 #include <cmath>
 #include <limits>
-#include <numbers>
 
 #include "libbrdf/file_error.h"
 #include "libbrdf/files.h"
+#include "libbrdf/rgl_axes.h"
 #include "libbrdf/rgl_spectrum.h"
 #include "libbrdf/rgl_warp.h"
 #include "libbrdf/tensor_file.h"
@@ -14,18 +14,8 @@ namespace lacquer::brdf {
 
 namespace {
 
-constexpr double pi = std::numbers::pi;
 constexpr std::uint64_t max_bytes = std::uint64_t{1} << 30;  // the largest published isotropic file has 7 MB
 constexpr float max_float = std::numeric_limits<float>::max();
-
-/// Square coordinate of a polar angle: theta = u^2 pi/2.
-double u_from_theta(double theta) { return std::sqrt(theta * (2 / pi)); }
-
-/// Square coordinate of an azimuth in (-pi, pi]: phi = (2u - 1) pi; the seam belongs to u = 0, as in the reference loader.
-double u_from_phi(double phi) {
-  const double u = (phi + pi) / (2 * pi);
-  return u - std::floor(u);
-}
 
 /// 0 where it is undefined (h = n or wi = n), whatever the signs of the zeros, so that the BRDF stays isotropic.
 double azimuth(double x, double y) { return x == 0 && y == 0 ? 0.0 : std::atan2(y, x); }
@@ -53,11 +43,11 @@ class RglBrdf final : public Brdf {
     const double theta_i = polar_angle(d.wi);
     // phi_m - phi_i without the two angles.
     const double phi = azimuth(d.wi.x * m.x + d.wi.y * m.y, d.wi.x * m.y - d.wi.y * m.x);
-    const glm::dvec2 u_m(u_from_theta(polar_angle(m)), u_from_phi(phi));
+    const glm::dvec2 u_m(rgl_u_from_theta(polar_angle(m)), rgl_u_from_phi(phi));
 
     const Blend slices = blend_between(data_.theta_i, theta_i);
     const auto s = data_.warp.invert(u_m, slices);
-    const double sigma = data_.sigma.value({u_from_theta(theta_i), u_from_phi(0)});
+    const double sigma = data_.sigma.value({rgl_u_from_theta(theta_i), rgl_u_from_phi(0)});
     if (!s || !(sigma > 0)) return std::nullopt;
     const double factor = data_.ndf.value(u_m) / (4 * sigma * d.wo.z);
     glm::dvec3 f;

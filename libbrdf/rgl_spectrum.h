@@ -15,4 +15,9 @@ glm::dvec3 cie_1931_matching_functions(double wavelength_nm);
 /// (Bradford), so that the constant spectrum 1 becomes RGB (1, 1, 1). Out-of-gamut colours have negative components.
 std::vector<glm::dvec3> linear_srgb_weights(std::span<const float> wavelengths_nm);
 
+/// Upsampling of linear sRGB to smooth spectra: sum_c rgb[c] * spectra[l][c] at the wavelengths below. Non-negative for non-negative RGB,
+/// constant for grey, and linear_srgb_weights() of these wavelengths gives the RGB back.
+std::vector<float> upsampling_wavelengths();  ///< nm, ascending
+std::vector<glm::dvec3> upsampling_spectra();
+
 }  // namespace lacquer::brdf

@@ -1,6 +1,7 @@
 #include "libbrdf/rgl_warp.h"
 
 #include <algorithm>
+#include <cmath>
 
 namespace lacquer::brdf {
 
@@ -26,6 +27,24 @@ Patch patch_at(const glm::dvec2& u, std::size_t nx, std::size_t ny) {
 }
 
 double mix(double a, double b, double t) { return (1 - t) * a + t * b; }
+
+/// t in [0, 1] with integral of (1 - x) a + x b from 0 to t equal to `area`; a, b >= 0.
+double invert_trapezoid(double a, double b, double area) {
+  // The form of the root that subtracts nothing; 0 / 0 where the density vanishes, and with it the area.
+  const double denominator = a + std::sqrt(std::max(a * a + 2 * (b - a) * area, 0.0));
+  return denominator > 0 ? std::clamp(2 * area / denominator, 0.0, 1.0) : 0.0;
+}
+
+/// Cell of a cumulative sum in which `x` lies: the last i <= n - 2 with value(i) <= x.
+template <typename Value>
+std::size_t find_cell(std::size_t n, double x, const Value& value) {
+  std::size_t low = 0, high = n - 1;
+  while (high - low > 1) {
+    const std::size_t middle = (low + high) / 2;
+    (value(middle) <= x ? low : high) = middle;
+  }
+  return low;
+}
 
 }  // namespace
 
@@ -85,6 +104,22 @@ std::optional<VisibleNormalWarp> VisibleNormalWarp::create(std::span<const float
     for (std::size_t y = 0; y < ny; ++y) marginal[y] /= total;
   }
   return warp;
+}
+
+glm::dvec2 VisibleNormalWarp::sample(const glm::dvec2& s, std::size_t slice) const {
+  const double* density = density_.data() + slice * nx_ * ny_;
+  const double* conditional = conditional_.data() + slice * nx_ * ny_;
+  const double* marginal = marginal_.data() + slice * ny_;
+  const auto row_sum = [&](std::size_t y) { return conditional[y * nx_ + nx_ - 1]; };
+
+  const std::size_t y = find_cell(ny_, s.y, [&](std::size_t i) { return marginal[i]; });
+  const double t = invert_trapezoid(row_sum(y), row_sum(y + 1), s.y - marginal[y]);
+
+  const auto in_row = [&](const double* values, std::size_t x) { return mix(values[y * nx_ + x], values[(y + 1) * nx_ + x], t); };
+  const double along_row = s.x * in_row(conditional, nx_ - 1);
+  const std::size_t x = find_cell(nx_, along_row, [&](std::size_t i) { return in_row(conditional, i); });
+  const double fraction = invert_trapezoid(in_row(density, x), in_row(density, x + 1), along_row - in_row(conditional, x));
+  return {(static_cast<double>(x) + fraction) / static_cast<double>(nx_ - 1), (static_cast<double>(y) + t) / static_cast<double>(ny_ - 1)};
 }
 
 std::optional<glm::dvec2> VisibleNormalWarp::invert(const glm::dvec2& u, const Blend& slices) const {

@@ -47,6 +47,9 @@ class VisibleNormalWarp {
   /// Warped position in [0, 1]^2 of `u` in [0, 1]^2; nullopt where the density of the whole row is 0.
   std::optional<glm::dvec2> invert(const glm::dvec2& u, const Blend& slices) const;
 
+  /// The inverse of invert() on one slice: the position `u` in [0, 1]^2 whose warped position is `s`.
+  glm::dvec2 sample(const glm::dvec2& s, std::size_t slice) const;
+
  private:
   VisibleNormalWarp(std::size_t nx, std::size_t ny) : nx_(nx), ny_(ny) {}
 

@@ -9,6 +9,7 @@
 #include <span>
 
 #include "libbrdf/file_error.h"
+#include "libbrdf/files.h"
 
 namespace lacquer::brdf {
 
@@ -122,6 +123,33 @@ std::vector<float> TensorFile::floats(const std::string& name, std::size_t rank,
 std::string TensorFile::bytes(const std::string& name) const {
   const Field& f = field(name, type_uint8, 1);
   return {reinterpret_cast<const char*>(bytes_.data()) + f.offset, f.n_values};
+}
+
+TensorField TensorField::floats(const std::string& name, TensorFile::Shape shape, std::span<const float> values) {
+  return {name, type_float32, std::move(shape), std::string(reinterpret_cast<const char*>(values.data()), values.size_bytes())};
+}
+
+TensorField TensorField::bytes(const std::string& name, const std::string& data) { return {name, type_uint8, {data.size()}, data}; }
+
+void write_tensor_file(const std::filesystem::path& file, const std::vector<TensorField>& fields) {
+  const auto raw = [](auto value) { return std::string(reinterpret_cast<const char*>(&value), sizeof(value)); };
+  const auto aligned = [](std::uint64_t offset) { return (offset + 7) / 8 * 8; };
+  std::uint64_t offset = sizeof(tensor_magic) + 2 + 4;
+  for (const auto& f : fields) offset += 2 + f.name.size() + 2 + 1 + 8 + 8 * f.shape.size();
+
+  std::string content = std::string(tensor_magic, sizeof(tensor_magic)) + '\1' + '\0' + raw(static_cast<std::uint32_t>(fields.size()));
+  for (const auto& f : fields) {
+    offset = aligned(offset);
+    content += raw(static_cast<std::uint16_t>(f.name.size())) + f.name + raw(static_cast<std::uint16_t>(f.shape.size()));
+    content += raw(static_cast<std::uint8_t>(f.type)) + raw(offset);
+    for (const std::uint64_t n : f.shape) content += raw(n);
+    offset += f.data.size();
+  }
+  for (const auto& f : fields) {
+    content.resize(aligned(content.size()));
+    content += f.data;
+  }
+  write_text_atomically(file, content);
 }
 
 }  // namespace lacquer::brdf

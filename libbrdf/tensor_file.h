@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <map>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -42,6 +43,20 @@ class TensorFile {
   std::vector<std::byte> bytes_;
   std::map<std::string, Field> fields_;
 };
+
+/// One named array to write.
+struct TensorField {
+  std::string name;
+  int type;  ///< code of the file format
+  TensorFile::Shape shape;
+  std::string data;  ///< C order
+
+  static TensorField floats(const std::string& name, TensorFile::Shape shape, std::span<const float> values);
+  static TensorField bytes(const std::string& name, const std::string& data);
+};
+
+/// Writes a tensor file; blocks begin at multiples of 8 bytes, as RGL's own files have it.
+void write_tensor_file(const std::filesystem::path& file, const std::vector<TensorField>& fields);
 
 /// First bytes of every tensor file, the NUL at the end included.
 inline constexpr char tensor_magic[12] = {'t', 'e', 'n', 's', 'o', 'r', '_', 'f', 'i', 'l', 'e', '\0'};

@@ -24,6 +24,7 @@ void add_check(CLI::App& app, Context& context);
 void add_fit(CLI::App& app, Context& context);
 void add_eval(CLI::App& app, Context& context);
 void add_compare(CLI::App& app, Context& context);
+void add_convert(CLI::App& app, Context& context);
 void add_rerender(CLI::App& app, Context& context);
 void add_measure(CLI::App& app, Context& context);
 

@@ -49,6 +49,7 @@ int main(int argc, char** argv) {
   tools::add_fit(app, context);
   tools::add_eval(app, context);
   tools::add_compare(app, context);
+  tools::add_convert(app, context);
   tools::add_rerender(app, context);
 
   try {

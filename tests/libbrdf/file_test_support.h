@@ -34,6 +34,11 @@ inline void expect_file_error(const std::function<void()>& call, const std::vect
   FAIL() << "no error; expected one with '" << (parts.empty() ? "" : parts.front()) << "'";
 }
 
+/// Debian's own Python, which has its numpy; another one in front of PATH usually has not.
+inline const std::string python = "/usr/bin/python3";
+
+inline bool python_has_numpy() { return std::system((python + " -c 'import numpy' 2>/dev/null").c_str()) == 0; }
+
 template <typename T>
 std::string raw(const T& value) {
   return {reinterpret_cast<const char*>(&value), sizeof(value)};

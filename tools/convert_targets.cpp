@@ -1,0 +1,131 @@
+#include "tools/convert_targets.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "libbrdf/error.h"
+#include "libbrdf/files.h"
+#include "libbrdf/table_files.h"
+
+namespace lacquer::tools {
+
+namespace {
+
+using Path = std::filesystem::path;
+constexpr const char* read_back = "file as read back";
+
+/// Provenance with the source's own inside, and what kind of thing it was.
+std::string provenance_of(const brdf::Brdf& source, const ConvertOptions& options) {
+  auto json = nlohmann::ordered_json::parse(options.provenance);
+  json["source"] = source.description();
+  if (const auto* table = dynamic_cast<const brdf::TableBrdf*>(&source)) json["source_provenance"] = table->table().provenance_json;
+  return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+}
+
+/// The source's own table, or the source tabulated at the cells' centres, averaged over both directions.
+brdf::HalfAngleTable table_of(const brdf::Brdf& source, const ConvertOptions& options, std::vector<std::string>& notes) {
+  std::optional<brdf::HalfAngleTable> table;
+  if (const auto* own = dynamic_cast<const brdf::TableBrdf*>(&source)) {
+    table = own->table();
+  } else {
+    table = brdf::tabulate_brdf(brdf::ReciprocalMean(source));
+    notes.push_back("tabulated at the cells' centres; the two directions averaged (a cell holds both)");
+  }
+  table->provenance_json = provenance_of(source, options);
+  if (!table->absolute_scale) notes.push_back("the scale is relative: no reference of known reflectance was used");
+  return std::move(*table);
+}
+
+Converted written(const Path& file, std::string format, std::vector<std::string> notes) {
+  return {std::move(format), read_back, std::move(notes), brdf::load_brdf(file)};
+}
+
+Converted write_table(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  std::vector<std::string> notes;
+  brdf::write_table(file, table_of(source, options, notes));
+  return written(file, "table of Lacquer, OpenEXR", std::move(notes));
+}
+
+Converted write_merl(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  std::vector<std::string> notes;
+  const brdf::HalfAngleTable table = table_of(source, options, notes);
+  brdf::write_merl(file, table);
+  brdf::write_side_file(file, table, "MERL .binary, 90 x 90 x 180, value at the cell's centre, -1: no value");
+  notes.push_back("lost: variances, counts, mean coordinates, which cells are filled; negative cells become -1");
+  notes.push_back("scale and provenance are in " + file.filename().string() + ".json");
+  return written(file, "MERL .binary", std::move(notes));
+}
+
+Converted write_csv(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  std::vector<std::string> notes;
+  brdf::write_table_csv(file, table_of(source, options, notes));
+  notes.push_back("lost: mean coordinates and footprints");
+  return written(file, "CSV, one row per cell", std::move(notes));
+}
+
+Converted write_npy(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  std::vector<std::string> notes;
+  brdf::write_table_npy(file, table_of(source, options, notes), options.sigma);
+  notes.push_back("lost: counts, origins, mean coordinates and footprints" + std::string(options.sigma ? "" : ", variances (--sigma keeps them)"));
+  notes.push_back("scale and provenance are in " + file.filename().string() + ".json");
+  return written(file, "NumPy array", std::move(notes));
+}
+
+Converted write_tensor(const Path& file, const brdf::Brdf& source, const ConvertOptions& options, bool spectral) {
+  brdf::RglOptions rgl = options.rgl;
+  rgl.spectral = spectral;
+  std::vector<std::string> notes;
+  bool absolute = true;
+  if (const auto* table = dynamic_cast<const brdf::TableBrdf*>(&source)) absolute = table->table().absolute_scale;
+  if (!absolute) notes.push_back("the scale is relative: no reference of known reflectance was used");
+  rgl.description = fmt::format("{}; f_r in 1/sr, scale {}; colour space as the source (camera RGB unless it says that it was converted); {}",
+                                source.description(), absolute ? "absolute" : "relative", provenance_of(source, options));
+  brdf::write_rgl(file, source, rgl);
+  notes.push_back(fmt::format("{} incident angles, {} x {} values each", rgl.n_theta_i, rgl.resolution, rgl.resolution));
+  if (spectral) notes.push_back("spectra are smooth curves with the source's RGB, not measured ones");
+  return written(file, spectral ? "RGL .bsdf, spectral" : "RGL .bsdf, RGB", std::move(notes));
+}
+Converted write_rgl(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) { return write_tensor(file, source, options, false); }
+Converted write_rgl_spectral(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  return write_tensor(file, source, options, true);
+}
+
+constexpr std::array<ConvertTarget, 6> targets{{
+    {"exr", ".exr", write_table},
+    {"merl", ".binary", write_merl},
+    {"bsdf", ".bsdf", write_rgl},
+    {"bsdf-spectral", "", write_rgl_spectral},
+    {"npy", ".npy", write_npy},
+    {"csv", ".csv", write_csv},
+}};
+
+}  // namespace
+
+std::string target_names() {
+  std::string names;
+  for (const auto& target : targets) names += (names.empty() ? "" : ", ") + std::string(target.name);
+  return names;
+}
+
+const ConvertTarget& target_named(const std::string& name) {
+  for (const auto& target : targets)
+    if (name == target.name) return target;
+  throw Error(ErrorCode::usage, fmt::format("--format: expected one of {}; got '{}'", target_names(), name));
+}
+
+const ConvertTarget& target_of_file(const Path& file) {
+  const std::string extension = file.extension().string();
+  std::string understood;
+  for (const auto& target : targets) {
+    if (*target.extension == '\0') continue;
+    if (extension == target.extension) return target;
+    understood += (understood.empty() ? "" : ", ") + std::string(target.extension);
+  }
+  throw Error(ErrorCode::usage, fmt::format("{}: cannot tell the format from the extension '{}'; expected one of {}, or give --format", file.string(),
+                                            extension, understood));
+}
+
+}  // namespace lacquer::tools
