@@ -7,6 +7,7 @@
 #include "libbrdf/brdf.h"
 #include "libbrdf/file_error.h"
 #include "libbrdf/files.h"
+#include "libbrdf/mbsdf.h"
 #include "libbrdf/table_files.h"
 #include "libbrdf/tensor_file.h"
 
@@ -16,7 +17,7 @@ namespace {
 
 constexpr std::string_view understood =
     "table.exr of Lacquer, fit.json or {\"kd\", \"lobes\"} JSON, MERL .binary (90 x 90 x 180), RGL .bsdf, "
-    "NumPy .npy or CSV of a table";
+    "NumPy .npy or CSV of a table, NVIDIA .mbsdf";
 
 bool begins_with(const std::string& head, std::string_view magic) { return head.compare(0, magic.size(), magic) == 0; }
 
@@ -51,6 +52,7 @@ std::unique_ptr<Brdf> load_brdf(const std::filesystem::path& file) {
   if (begins_with(head, "\x76\x2f\x31\x01")) return std::make_unique<TableBrdf>(read_table(file), "table " + file.string());
   if (begins_with(head, std::string_view(tensor_magic, sizeof(tensor_magic)))) return read_rgl(file);
   if (begins_with(head, npy_magic)) return std::make_unique<TableBrdf>(read_table_npy(file), "NumPy table " + file.string());
+  if (begins_with(head, mbsdf_magic)) return read_mbsdf(file);
   if (begins_with(head, csv_magic)) return std::make_unique<TableBrdf>(read_table_csv(file), "CSV table " + file.string());
   if (looks_like_json(head)) return std::make_unique<CookTorranceBrdf>(read_model(file));
   if (looks_like_merl(file, head)) return std::make_unique<TableBrdf>(read_merl(file), "MERL table " + file.string());

@@ -6,8 +6,10 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "libbrdf/brdf_explorer.h"
 #include "libbrdf/error.h"
 #include "libbrdf/files.h"
+#include "libbrdf/mbsdf.h"
 #include "libbrdf/table_files.h"
 
 namespace lacquer::tools {
@@ -74,15 +76,19 @@ Converted write_npy(const Path& file, const brdf::Brdf& source, const ConvertOpt
   return written(file, "NumPy array", std::move(notes));
 }
 
+/// For the text that a format carries: source, unit, scale, colour space, provenance.
+std::string description_of(const brdf::Brdf& source, const ConvertOptions& options) {
+  bool absolute = true;
+  if (const auto* table = dynamic_cast<const brdf::TableBrdf*>(&source)) absolute = table->table().absolute_scale;
+  return fmt::format("{}; f_r in 1/sr, scale {}; colour space as the source (camera RGB unless it says that it was converted); {}",
+                     source.description(), absolute ? "absolute" : "relative", provenance_of(source, options));
+}
+
 Converted write_tensor(const Path& file, const brdf::Brdf& source, const ConvertOptions& options, bool spectral) {
   brdf::RglOptions rgl = options.rgl;
   rgl.spectral = spectral;
   std::vector<std::string> notes;
-  bool absolute = true;
-  if (const auto* table = dynamic_cast<const brdf::TableBrdf*>(&source)) absolute = table->table().absolute_scale;
-  if (!absolute) notes.push_back("the scale is relative: no reference of known reflectance was used");
-  rgl.description = fmt::format("{}; f_r in 1/sr, scale {}; colour space as the source (camera RGB unless it says that it was converted); {}",
-                                source.description(), absolute ? "absolute" : "relative", provenance_of(source, options));
+  rgl.description = description_of(source, options);
   brdf::write_rgl(file, source, rgl);
   notes.push_back(fmt::format("{} incident angles, {} x {} values each", rgl.n_theta_i, rgl.resolution, rgl.resolution));
   if (spectral) notes.push_back("spectra are smooth curves with the source's RGB, not measured ones");
@@ -93,13 +99,35 @@ Converted write_rgl_spectral(const Path& file, const brdf::Brdf& source, const C
   return write_tensor(file, source, options, true);
 }
 
-constexpr std::array<ConvertTarget, 6> targets{{
+Converted write_mbsdf(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  brdf::MbsdfOptions mbsdf;
+  mbsdf.description = description_of(source, options);
+  brdf::write_mbsdf(file, source, mbsdf);
+  return written(file, "NVIDIA .mbsdf, RGB", {"a uniform grid of 1 degree cells holds no narrower highlight: use it for the base below an analytic clear coat"});
+}
+
+/// The analytic model, or Error{input}: the formats below hold parameters.
+const brdf::CookTorrance& model_of(const brdf::Brdf& source) {
+  if (const auto* model = dynamic_cast<const brdf::CookTorranceBrdf*>(&source)) return model->model();
+  throw Error(ErrorCode::input, source.description() + ": this format holds a model's parameters; fit the table first (lacquer fit) and convert the fit.json");
+}
+
+Converted write_brdf_explorer(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  const brdf::CookTorrance& model = model_of(source);
+  brdf::write_text_atomically(file, brdf::brdf_explorer_text(model, description_of(source, options)));
+  return {"BRDF Explorer .brdf, GLSL", "parameters as read back, the same model", {},
+          std::make_unique<brdf::CookTorranceBrdf>(brdf::brdf_explorer_model(brdf::read_text(file), file.string()))};
+}
+
+constexpr std::array<ConvertTarget, 8> targets{{
     {"exr", ".exr", write_table},
     {"merl", ".binary", write_merl},
     {"bsdf", ".bsdf", write_rgl},
     {"bsdf-spectral", "", write_rgl_spectral},
     {"npy", ".npy", write_npy},
     {"csv", ".csv", write_csv},
+    {"mbsdf", ".mbsdf", write_mbsdf},
+    {"brdf", ".brdf", write_brdf_explorer},
 }};
 
 }  // namespace
