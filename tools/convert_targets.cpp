@@ -10,7 +10,9 @@
 #include "libbrdf/error.h"
 #include "libbrdf/files.h"
 #include "libbrdf/mbsdf.h"
+#include "libbrdf/renderer_materials.h"
 #include "libbrdf/table_files.h"
+#include "libfit/material_refit.h"
 
 namespace lacquer::tools {
 
@@ -119,7 +121,28 @@ Converted write_brdf_explorer(const Path& file, const brdf::Brdf& source, const 
           std::make_unique<brdf::CookTorranceBrdf>(brdf::brdf_explorer_model(brdf::read_text(file), file.string()))};
 }
 
-constexpr std::array<ConvertTarget, 8> targets{{
+/// A renderer's material with the parameters that come nearest to the source's model.
+template <typename Material>
+Converted write_material(const Path& file, const brdf::Brdf& source, const ConvertOptions& options, Material (*refit)(const brdf::CookTorrance&),
+                         const std::string& format, std::vector<std::string> notes) {
+  const Material material = refit(model_of(source));
+  brdf::write_text_atomically(file, material.text("paint", description_of(source, options)));
+  notes.insert(notes.begin(), "refitted: the renderer's lobes have another shape than the model's");
+  return {format, "the renderer's published formula with the refitted parameters", std::move(notes),
+          std::make_unique<brdf::MaterialBrdf<Material>>(material, format)};
+}
+
+Converted write_luxcore(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  return write_material(file, source, options, fit::refit_luxcore, "LuxCore carpaint properties", {});
+}
+Converted write_gltf(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  return write_material(file, source, options, fit::refit_gltf, "glTF 2.0 with KHR_materials_clearcoat", {"one base lobe, coat of IOR 1.5; colours count as linear sRGB"});
+}
+Converted write_open_pbr(const Path& file, const brdf::Brdf& source, const ConvertOptions& options) {
+  return write_material(file, source, options, fit::refit_open_pbr, "MaterialX open_pbr_surface", {"one base lobe; colours count as linear Rec. 709"});
+}
+
+constexpr std::array<ConvertTarget, 11> targets{{
     {"exr", ".exr", write_table},
     {"merl", ".binary", write_merl},
     {"bsdf", ".bsdf", write_rgl},
@@ -128,6 +151,9 @@ constexpr std::array<ConvertTarget, 8> targets{{
     {"csv", ".csv", write_csv},
     {"mbsdf", ".mbsdf", write_mbsdf},
     {"brdf", ".brdf", write_brdf_explorer},
+    {"luxcore", ".scn", write_luxcore},
+    {"gltf", ".gltf", write_gltf},
+    {"openpbr", ".mtlx", write_open_pbr},
 }};
 
 }  // namespace

@@ -40,6 +40,20 @@ TEST(ConvertCommand, SaysTheLossOfATensorFileToPeople) {
   EXPECT_EQ(spectral.at("format"), "RGL .bsdf, spectral");
 }
 
+TEST(ConvertCommand, RenderersMaterialsComeFromAModelAndStateTheirLoss) {
+  test::TemporaryFolder folder;
+  for (const char* name : {"p.scn", "p.gltf", "p.mtlx", "p.brdf", "p.mbsdf"}) {
+    const auto j = converted(paint(), folder / name);
+    EXPECT_GT(std::filesystem::file_size(folder / name), 300u) << name;
+    EXPECT_LT(j.at("metrics").at("mean_abs_log").get<double>(), 0.2) << name;
+    EXPECT_EQ(j.at("metrics").at("mean_abs_log").get<double>() < 1e-9, std::string(name) == "p.brdf") << name;
+  }
+  const auto film = (test::source_dir() / "data-samples/measured/vch_golden_yellow_rgb.bsdf").string();
+  const auto result = test::run_lacquer("convert " + film + " -o " + (folder / "f.gltf").string());
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(result.err.find("fit the table first"), std::string::npos) << result.err;
+}
+
 TEST(ConvertCommand, WrongUseIsExitCode2AndLeavesTheInputAlone) {
   test::TemporaryFolder folder;
   const std::string copy = (folder / "p.bsdf").string();
