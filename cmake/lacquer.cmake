@@ -25,6 +25,10 @@ function(lacquer_precompile target)
     target_precompile_headers(${target} PRIVATE ${ARGN} <algorithm> <filesystem> <fmt/format.h> <functional> <map> <memory> <optional> <string> <vector>)
   endif()
 endfunction()
+if(LACQUER_FUZZ)
+  target_compile_options(lacquer_options INTERFACE -fsanitize=fuzzer-no-link,address)
+  target_link_options(lacquer_options INTERFACE -fsanitize=address)
+endif()
 
 # lacquer_library(<name> SOURCES ... PUBLIC ... PRIVATE ...): a static library lacquer_<name>, alias lacquer::<name>.
 function(lacquer_library name)

@@ -2,7 +2,10 @@
 #include <random>
 
 #include "libbrdf/files.h"
+#include "libbrdf/mbsdf.h"
+#include "libbrdf/table_files.h"
 #include "tests/libbrdf/exr_writer.h"
+#include "tests/seeded_damage.h"
 
 /// Damaged and malicious files: each loads or throws lacquer::Error. A crash, a hang, std::bad_alloc or a value that is not finite fails.
 namespace lacquer::brdf {
@@ -36,25 +39,6 @@ bool loads_or_says_why(const std::filesystem::path& file, const std::string& con
     ADD_FAILURE() << "not a lacquer::Error: " << e.what();
   }
   return false;
-}
-
-/// Some bytes overwritten, a stretch cut out, doubled or appended; mostly small changes, mostly in `hot` bytes at the front.
-std::string mutate(std::string s, std::mt19937& rng, std::size_t hot) {
-  const auto position = [&] { return rng() % ((rng() % 4 != 0 ? std::min(hot, s.size()) : s.size()) + 0); };
-  const std::uint32_t interesting[] = {0, 1, 0x7f, 0x80, 0xff};
-  for (std::size_t k = 0, n = 1 + rng() % 2; k < n && !s.empty(); ++k) {
-    switch (rng() % 8) {
-      case 0: s.erase(position(), 1 + rng() % 16); break;
-      case 1: s.insert(position(), s.substr(position(), rng() % 32)); break;
-      case 2: s.resize(position()); break;
-      case 3:  // a whole number at its limits
-        for (std::size_t at = position(), end = std::min(at + (rng() % 2 ? 4 : 8), s.size()); at < end; ++at) s[at] = static_cast<char>(0xff);
-        break;
-      case 4: s[position()] = static_cast<char>(interesting[rng() % 5]); break;
-      default: s[position()] = static_cast<char>(rng()); break;
-    }
-  }
-  return s;
 }
 
 TEST(HostileFiles, EmptyMissingAndForeignFilesNameWhatIsUnderstood) {
@@ -166,7 +150,7 @@ TEST(HostileRgl, RandomDamageIsSurvived) {
   const std::string whole = test::constant_rgl_file().content();
   std::mt19937 rng(1);
   int n_loaded = 0;
-  for (int i = 0; i < 600; ++i) n_loaded += loads_or_says_why(folder / "t.bsdf", mutate(whole, rng, 400));
+  for (int i = 0; i < 600; ++i) n_loaded += loads_or_says_why(folder / "t.bsdf", test::damaged(whole, rng, 400));
   EXPECT_GT(n_loaded, 20);  // the damage is not so heavy that only the first check is ever reached
   EXPECT_LT(n_loaded, 590);
 }
@@ -176,7 +160,7 @@ TEST(HostileJson, RandomDamageIsSurvived) {
   const std::string whole = test::slurp(test::source_dir() / "data-samples/paints/white.json");
   std::mt19937 rng(2);
   int n_loaded = 0;
-  for (int i = 0; i < 600; ++i) n_loaded += loads_or_says_why(folder / "p.json", mutate(whole, rng, whole.size()));
+  for (int i = 0; i < 600; ++i) n_loaded += loads_or_says_why(folder / "p.json", test::damaged(whole, rng, whole.size()));
   EXPECT_GT(n_loaded, 20);
   EXPECT_LT(n_loaded, 590);
 }
@@ -214,7 +198,7 @@ TEST(HostileExr, RandomDamageOfTheHeaderIsSurvived) {
   const std::string whole = small_exr(folder);
   std::mt19937 rng(3);
   int n_loaded = 0;
-  for (int i = 0; i < 16; ++i) n_loaded += loads_or_says_why(folder / "t.exr", mutate(whole, rng, 1300));
+  for (int i = 0; i < 16; ++i) n_loaded += loads_or_says_why(folder / "t.exr", test::damaged(whole, rng, 1300));
   EXPECT_LT(n_loaded, 16);
 }
 
@@ -222,7 +206,7 @@ TEST(HostileExr, RandomDamageOfThePixelsIsSurvived) {
   TemporaryFolder folder;
   const std::string whole = small_exr(folder);
   std::mt19937 rng(4);
-  for (int i = 0; i < 5; ++i) loads_or_says_why(folder / "t.exr", mutate(whole, rng, whole.size()));
+  for (int i = 0; i < 5; ++i) loads_or_says_why(folder / "t.exr", test::damaged(whole, rng, whole.size()));
 }
 
 TEST(HostileExr, AttributesThatAskForGigabytesAreRefusedBeforeAllocation) {
@@ -255,6 +239,50 @@ TEST(HostileMerl, TruncationsAndDamagedHeadersAreErrors) {
     test::write_file(file, damaged);
     std::filesystem::resize_file(file, 34992012);
     expect_file_error([&] { load_brdf(file); }, {"m.binary"});
+  }
+}
+
+TEST(HostileMbsdf, RandomDamageIsSurvived) {
+  TemporaryFolder folder;
+  write_mbsdf(folder / "good.mbsdf", CookTorranceBrdf({.kd = glm::dvec3(0.5), .lobes = {}}), {.n_theta = 3, .n_phi = 4});
+  const std::string whole = test::slurp(folder / "good.mbsdf");
+  std::mt19937 rng(6);
+  int n_loaded = 0;
+  for (int i = 0; i < 600; ++i) n_loaded += loads_or_says_why(folder / "t.mbsdf", test::damaged(whole, rng, 200));
+  EXPECT_GT(n_loaded, 20);
+  EXPECT_LT(n_loaded, 590);
+}
+
+TEST(HostileCsv, RandomDamageIsSurvived) {
+  TemporaryFolder folder;
+  HalfAngleTable table(1);
+  for (std::size_t i = 0; i < 6; ++i) {
+    table.channels[0].origin[200000 * i] = CellOrigin::measured;
+    table.channels[0].mean[200000 * i] = static_cast<float>(i);
+  }
+  write_table_csv(folder / "good.csv", table);
+  const std::string whole = test::slurp(folder / "good.csv");
+  std::mt19937 rng(7);
+  int n_loaded = 0;
+  for (int i = 0; i < 60; ++i) n_loaded += loads_or_says_why(folder / "t.csv", test::damaged(whole, rng, whole.size()));
+  EXPECT_GT(n_loaded, 2);
+  EXPECT_LT(n_loaded, 59);
+}
+
+TEST(HostileNpy, RandomDamageOfTheHeaderIsSurvived) {
+  TemporaryFolder folder;
+  write_table_npy(folder / "t.npy", HalfAngleTable(1), false);
+  const std::string header = test::slurp(folder / "t.npy").substr(0, 128);
+  std::mt19937 rng(8);
+  for (int i = 0; i < 300; ++i) {
+    test::write_file(folder / "t.npy", test::damaged(header, rng, header.size()));
+    const auto size = std::filesystem::file_size(folder / "t.npy");
+    if (i % 50 == 0) std::filesystem::resize_file(folder / "t.npy", size + 4 * TableGrid::n_cells);  // sparse; 0 in every cell
+    try {
+      expect_finite_values(*load_brdf(folder / "t.npy"));
+    } catch (const Error& e) {
+      EXPECT_EQ(e.code(), ErrorCode::file) << e.what();
+    }
   }
 }
 
