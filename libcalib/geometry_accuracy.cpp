@@ -106,6 +106,27 @@ std::vector<std::string> plain_warnings(const GeometryResiduals& residuals, cons
   return texts;
 }
 
+/// Numbers that came out further from the rig file than its ruler can be wrong. A wrong radius (or focal length) shows as a sphere at
+/// another distance and in nothing else: the whole scene can be scaled without changing an image.
+std::vector<std::string> contradictions(const GeometryUnknowns& unknowns, const acquire::RigGeometry& nominal, const std::vector<double>& x) {
+  constexpr double many = 3;  // sigmas of the prior
+  std::vector<std::string> texts;
+  glm::dvec3 sphere;
+  for (int k = 0; k < 3; ++k) sphere[k] = x[static_cast<std::size_t>(k)] * unknowns.parameters()[static_cast<std::size_t>(k)].prior_sigma;
+  const double distance = glm::length(nominal.cam_from_rig.translation);
+  const double nearer = -glm::dot(nominal.cam_from_rig.rotation * sphere, nominal.cam_from_rig.translation / distance);
+  if (std::abs(nearer) > many * unknowns.parameters()[2].prior_sigma)
+    texts.push_back(fmt::format("the sphere comes out {:.1f} mm {} than the rig file has it, {:.1f} sigma of its ruler: either it stands there, or its radius is really "
+                                "{:.1f} % {} or the focal length wrong; images of one sphere cannot tell which, and distances would be wrong by as much",
+                                1e3 * std::abs(nearer), nearer > 0 ? "nearer" : "farther", std::abs(nearer) / unknowns.parameters()[2].prior_sigma,
+                                100 * std::abs(nearer) / distance, nearer > 0 ? "larger" : "smaller"));
+  for (std::size_t k = 0; k < x.size(); ++k)
+    if (std::abs(x[k]) > many && !(k < 3 && !texts.empty()))
+      texts.push_back(fmt::format("{} comes out {:.1f} sigma of its prior from the rig file: the rig file is wrong there, or something that it is believed in",
+                                  unknowns.parameters()[k].name, std::abs(x[k])));
+  return texts;
+}
+
 }  // namespace
 
 GeometryEffects geometry_effects(const GeometryResiduals& residuals, const std::vector<double>& x) {
@@ -146,9 +167,10 @@ double rms_effect(const std::vector<std::vector<double>>& rows, const std::vecto
   return rows.empty() ? 0 : std::sqrt(sum * per_view / static_cast<double>(rows.size()));
 }
 
-std::vector<std::string> geometry_warnings(const GeometryResiduals& residuals, const acquire::RigGeometry& nominal, const SymmetricMatrix& information,
-                                           const SymmetricMatrix& from_images, const GeometryEffects& effects) {
+std::vector<std::string> geometry_warnings(const GeometryResiduals& residuals, const acquire::RigGeometry& nominal, const std::vector<double>& x,
+                                           const SymmetricMatrix& information, const SymmetricMatrix& from_images, const GeometryEffects& effects) {
   std::vector<std::string> texts = plain_warnings(residuals, nominal);
+  for (std::string& text : contradictions(residuals.unknowns(), nominal, x)) texts.push_back(std::move(text));
   for (std::string& text : weak_directions(information, from_images, residuals.unknowns(), effects)) texts.push_back(std::move(text));
   return texts;
 }

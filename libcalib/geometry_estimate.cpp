@@ -9,6 +9,12 @@
 
 namespace lacquer::calib {
 
+double GeometryUncertainty::angle_correction(const std::string& view) const {
+  for (const ViewAngle& a : angles)
+    if (a.view == view) return a.correction;
+  return 0;
+}
+
 nlohmann::ordered_json uncertainty_to_json(const GeometryUncertainty& u) {
   nlohmann::ordered_json j;
   j["parameters"] = nlohmann::ordered_json::array();
@@ -16,6 +22,8 @@ nlohmann::ordered_json uncertainty_to_json(const GeometryUncertainty& u) {
     j["parameters"].push_back({{"name", p.name}, {"unit", p.unit}, {"nominal", p.nominal}, {"correction", p.correction},
                                {"sigma", p.sigma}, {"prior_sigma", p.prior_sigma}});
   j["covariance"] = u.covariance;
+  if (!u.angles.empty()) j["angles"] = nlohmann::ordered_json::array();
+  for (const ViewAngle& a : u.angles) j["angles"].push_back({{"view", a.view}, {"correction", a.correction}, {"sigma", a.sigma}});
   return j;
 }
 
@@ -31,6 +39,9 @@ GeometryUncertainty uncertainty_from_json(const JsonReader& j) {
     for (std::size_t b = 0; b < a; ++b)
       if (std::abs(u.covariance[a * n + b] - u.covariance[b * n + a]) > 1e-9 * std::sqrt(u.covariance[a * n + a] * u.covariance[b * n + b]))
         j.fail("covariance", "a symmetric matrix");
+  constexpr std::size_t max_views = 100000;
+  if (j.has("angles"))
+    for (const JsonReader& a : j.objects("angles", max_views)) u.angles.push_back({a.text("view"), a.number("correction", -10, 10), a.number("sigma", 0, 10)});
   return u;
 }
 

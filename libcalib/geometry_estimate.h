@@ -19,10 +19,19 @@ struct GeometryParameter {
   double prior_sigma = 0;  ///< of the correction, before any image was seen
 };
 
+/// Where the turntable stood in a view, as the highlight says it together with what was read back.
+struct ViewAngle {
+  std::string view;
+  double correction = 0;  ///< radians: true angle = turntable_scale * angle read back + correction
+  double sigma = 0;       ///< 1 sigma, the rest of the geometry given
+};
+
 /// What is known of an estimated geometry besides its values.
 struct GeometryUncertainty {
   std::vector<GeometryParameter> parameters;  ///< empty: nothing was estimated
   std::vector<double> covariance;             ///< of the corrections, row-major, parameters.size() squared
+  std::vector<ViewAngle> angles;              ///< of views with a highlight, where angles scatter more than they are known from it
+  double angle_correction(const std::string& view) const;  ///< 0: none
 };
 
 nlohmann::ordered_json uncertainty_to_json(const GeometryUncertainty& uncertainty);

@@ -18,6 +18,28 @@ double median(std::vector<double> v) {
 
 constexpr double median_of_normal = 0.67449;  // of |normal|
 
+/// Root of the factor by which residuals of a series that agree with their neighbours make its mean less certain than independent ones
+/// would: 1 + 2 sum of autocorrelations, up to the first that chance explains.
+double shared_factor(const std::vector<double>& series, double sigma) {
+  constexpr double extreme = 3;  // outliers must not decide
+  std::vector<double> v;
+  double mean = 0, power = 0;
+  for (const double r : series) v.push_back(std::clamp(r / sigma, -extreme, extreme));
+  for (const double r : v) mean += r / static_cast<double>(v.size());
+  for (double& r : v) {
+    r -= mean;
+    power += r * r;
+  }
+  double sum = 1;
+  for (std::size_t lag = 1; 4 * lag < v.size(); ++lag) {
+    double c = 0;
+    for (std::size_t i = lag; i < v.size(); ++i) c += v[i] * v[i - lag];
+    if (!(c / power > 2 / std::sqrt(static_cast<double>(v.size())))) break;
+    sum += 2 * c / power;
+  }
+  return std::sqrt(sum);
+}
+
 }  // namespace
 
 GeometryResiduals::GeometryResiduals(const GeometryUnknowns& unknowns, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights)
@@ -121,7 +143,7 @@ double GeometryResiduals::cost(const std::vector<double>& r, double k, std::vect
 void GeometryResiduals::measure_noise(const std::vector<double>& x) {
   constexpr std::size_t few = 12;  // fewer do not say: the sigmas given are believed
   constexpr double floor = 0.1;
-  edge_factor_ = highlight_factor_ = 1;
+  edge_factor_ = edge_shared_ = highlight_factor_ = 1;
   angle_sigma_ = 0;
   edge_used_.assign(edges_.size(), true);
   highlight_used_.assign(highlights_.size(), true);
@@ -129,9 +151,16 @@ void GeometryResiduals::measure_noise(const std::vector<double>& x) {
   const double offset = unknowns_.edge_offset(x), scale = unknowns_.turntable_scale(x);
   // Fitted unknowns take their share of the residuals: of the edges 4, of the highlights at most 8.
   const auto share = [](std::size_t n) { return std::sqrt(static_cast<double>(n) / (static_cast<double>(n) - 4)); };
-  std::vector<double> sizes;
-  for (std::size_t i = 0; i < edges_.size(); ++i) sizes.push_back(std::abs(edge_residual(g, offset, i)));
-  if (sizes.size() >= few) edge_factor_ = std::max(floor, share(sizes.size()) * median(sizes) / median_of_normal);
+  std::vector<double> signed_sizes, sizes;
+  for (std::size_t i = 0; i < edges_.size(); ++i) {
+    signed_sizes.push_back(edge_residual(g, offset, i));
+    sizes.push_back(std::abs(signed_sizes.back()));
+  }
+  if (sizes.size() >= few) {
+    const double scatter = std::max(floor, share(sizes.size()) * median(sizes) / median_of_normal);
+    edge_shared_ = shared_factor(signed_sizes, scatter);
+    edge_factor_ = scatter * edge_shared_;
+  }
 
   const std::size_t n = highlights_.size();
   track_.assign(n, glm::dvec2(0.0));
@@ -159,13 +188,23 @@ void GeometryResiduals::measure_noise(const std::vector<double>& x) {
   angle_sigma_ = std::sqrt(std::max(0.0, total * total - highlight_factor_ * highlight_factor_ * median(own)));
 }
 
+ViewAngle GeometryResiduals::angle_of(const acquire::RigGeometry& g, double scale, std::size_t i) const {
+  const Highlight& h = highlights_[i];
+  const double f = highlight_factor_ * highlight_factor_, a = angle_sigma_ * angle_sigma_;
+  const double det = h.xx * h.yy - h.xy * h.xy;
+  const glm::dvec2 d = miss(g, scale, h), t = track_[i];
+  const auto weighted = [&](const glm::dvec2& v) { return (t.x * (h.yy * v.x - h.xy * v.y) + t.y * (h.xx * v.y - h.xy * v.x)) / (det * f); };
+  const double information = weighted(t) + 1 / a;
+  return {h.view, weighted(d) / information, 1 / std::sqrt(information)};
+}
+
 void GeometryResiduals::select_inliers(const std::vector<double>& x) {
   // 5 sigma: of 270 000 good highlights one is lost. The sigmas come from a median, known to 0.8 / sqrt(n) itself.
   const auto limit = [](std::size_t n) { return 5 * (1 + 2 / std::sqrt(static_cast<double>(std::max<std::size_t>(n, 4)))); };
   edge_used_.assign(edges_.size(), true);
   highlight_used_.assign(highlights_.size(), true);
   const std::vector<double> r = at(x);
-  for (std::size_t i = 0; i < edges_.size(); ++i) edge_used_[i] = std::abs(r[i]) <= limit(edges_.size());
+  for (std::size_t i = 0; i < edges_.size(); ++i) edge_used_[i] = std::abs(r[i]) * edge_shared_ <= limit(edges_.size());
   for (std::size_t i = 0; i < highlights_.size(); ++i) {
     const std::size_t first = edges_.size() + 2 * i;
     highlight_used_[i] = std::hypot(r[first], r[first + 1]) <= limit(highlights_.size());

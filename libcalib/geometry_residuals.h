@@ -24,8 +24,11 @@ class GeometryResiduals {
   std::vector<std::vector<double>> derivatives(const std::vector<double>& x) const;
 
   /// How noisy the data are, by medians, which outliers hardly move: the sigmas given say only what they are relative to each other. What
-  /// highlights scatter more along their track than across is the turntable's. All data are in use afterwards.
+  /// highlights scatter more along their track than across is the turntable's. Residuals of neighbouring edges that agree count as fewer edges:
+  /// a limb that is not lit as its model has it moves many of them together. All data are in use afterwards.
   void measure_noise(const std::vector<double>& x);
+  /// Angle of the turntable that a highlight says together with the one read back, minus the latter, given the rest of the geometry.
+  ViewAngle angle_of(const acquire::RigGeometry& geometry, double turntable_scale, std::size_t highlight) const;
   /// Leaves out what is further than 5 sigma away.
   void select_inliers(const std::vector<double>& x);
 
@@ -56,6 +59,7 @@ class GeometryResiduals {
   std::vector<std::optional<glm::dvec3>> sights_;  ///< of the edges: the lens is not an unknown
   std::vector<bool> edge_used_, highlight_used_;
   double edge_factor_ = 1, highlight_factor_ = 1;
+  double edge_shared_ = 1;         ///< part of edge_factor_ that neighbours agreeing is the cause of
   double angle_sigma_ = 0;         ///< found from the residuals along the highlights' tracks
   std::vector<glm::dvec2> track_;  ///< pixels per radian of the turntable, by highlight
 };

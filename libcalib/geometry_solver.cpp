@@ -76,6 +76,7 @@ void describe_fit(const GeometryResiduals& residuals, const std::vector<double>&
     const Highlight& h = residuals.highlights()[i];
     const glm::dvec2 d = GeometryResiduals::miss(e.geometry, e.turntable_scale, h);
     if (residuals.highlight_used()[i]) {
+      if (residuals.angle_sigma() > 0) e.uncertainty.angles.push_back(residuals.angle_of(e.geometry, e.turntable_scale, i));
       ++e.n_highlights;
       highlight_sum += glm::dot(d, d);
     } else {
@@ -113,7 +114,7 @@ void add_uncertainty(const GeometryResiduals& residuals, const acquire::RigGeome
   e.light_sigma_rad = rms_effect(effects.light, scaled, 3);
   e.half_vector_sigma_rad = rms_effect(effects.half, scaled, 3);
   e.distance_sigma = rms_effect(effects.distance, scaled, 1);
-  e.warnings = geometry_warnings(residuals, nominal, information, from_images, effects);
+  e.warnings = geometry_warnings(residuals, nominal, x, information, from_images, effects);
 }
 
 void check_input(const acquire::RigGeometry& g, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights) {

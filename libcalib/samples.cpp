@@ -113,7 +113,8 @@ double lens_transmission(const Calibration& calibration, const glm::dvec2& pixel
 }
 
 Illumination illumination_of(const acquire::ViewRecord& view, const Calibration& calibration) {
-  return {static_cast<std::size_t>(view.light), calibration.turntable_scale * view.turntable_angle, calibration.light_factor(view).factor};
+  const double angle = calibration.turntable_scale * view.turntable_angle + calibration.geometry_uncertainty.angle_correction(view.id);
+  return {static_cast<std::size_t>(view.light), angle, calibration.light_factor(view).factor};
 }
 
 void SampleOptions::validate() const {

@@ -13,7 +13,9 @@ struct OutlineOptions {
   double lens_blur_px = 0.5;   ///< sigma of the lens, without the pixel's own area
   double search_px = 0;        ///< the silhouette is looked for this far to both sides of where the rig file has it; 0: 3 sigma of a 3 mm ruler
   double min_cosine = 0.1;     ///< of light and limb: beyond it the limb is the terminator, not the silhouette
-  double max_light_angle = 2.1;  ///< radians from the line of sight; a light further behind makes the limb itself a highlight
+  /// Radians from the line of sight. A light further round makes the limb ever more of a highlight, which is not as a lit edge is and moves
+  /// one side of the silhouette: at 2.1 by up to 0.17 px, at 1.3 all sides alike.
+  double max_light_angle = 1.3;
   double arc_px = 6;           ///< length of silhouette per edge point
 };
 

@@ -38,12 +38,12 @@ std::string names(const std::vector<std::string>& views) {
   return views.size() > 12 ? text + fmt::format(" and {} more", views.size() - 12) : text;
 }
 
-void print_difference(const char* name, const acquire::RigGeometry& geometry, double scale, const acquire::Session& session) {
+void print_difference(const char* name, const acquire::RigGeometry& geometry, double scale, const calib::GeometryUncertainty& uncertainty, const acquire::Session& session) {
   const acquire::RigGeometry truth = acquire::sim::true_geometry(session.rig);
   std::vector<calib::ViewAngles> views;
   for (const std::size_t v : session.views_of(acquire::ViewKind::measurement)) {
     const acquire::ViewRecord& view = session.views[v];
-    views.push_back({static_cast<std::size_t>(view.light), scale * view.turntable_angle, view.turntable_angle});
+    views.push_back({static_cast<std::size_t>(view.light), scale * view.turntable_angle + uncertainty.angle_correction(view.id), view.turntable_angle});
   }
   const calib::GeometryDifference d = calib::geometry_difference(geometry, truth, views);
   fmt::print("  {:<10} half vector {:8.4f} deg   light {:8.4f} deg   distance {:6.3f} %   sphere centre {:7.3f} px\n", name, d.half_vector_rad / degree,
@@ -73,8 +73,8 @@ void print_geometry(const calib::SessionGeometry& g, const acquire::Session& ses
   if (session.rig.kind != acquire::RigDescription::Kind::simulated) return;
   // The truth of a simulated rig enters here, for the comparison, and nowhere before.
   fmt::print("against the simulated truth, at the angles read back:\n");
-  print_difference("rig file", session.rig.geometry, 1, session);
-  print_difference("estimate", e.geometry, e.turntable_scale, session);
+  print_difference("rig file", session.rig.geometry, 1, {}, session);
+  print_difference("estimate", e.geometry, e.turntable_scale, e.uncertainty, session);
 }
 
 void add_calibrate_geometry(CLI::App& calibrate, Context& context) {

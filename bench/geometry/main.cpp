@@ -5,6 +5,7 @@
 #include <filesystem>
 
 #include "libbrdf/error.h"
+#include "paints.h"
 #include "rigs.h"
 
 /// Geometry found from simulated images against the truth. README: docs/geometry.md.
@@ -37,6 +38,27 @@ int run_rigs(const RigOptions& o) {
   return 0;
 }
 
+struct PaintOptions {
+  std::string folder = "bench_geometry_session";
+  std::vector<std::string> paints{"ford-f8", "polaris-silber", "opel-titan", "bmw-339", "2k-acrylack", "white", "blue", "blue-matte"};
+  int seed = 1;
+  bool full = false;
+};
+
+int run_paints(const PaintOptions& o) {
+  const std::filesystem::path source = LACQUER_SOURCE_DIR;
+  const acquire::RigDescription nominal = acquire::read_rig(source / (o.full ? "rigs/simulated-paper.toml" : "rigs/simulated-quick.toml"));
+  const bench::BuilderErrors errors = bench::draw_errors(nominal.geometry, {}, static_cast<std::uint64_t>(o.seed));
+  std::vector<bench::PaintResult> results;
+  for (const std::string& paint : o.paints) {
+    results.push_back(bench::measure_paint(nominal, errors, source / "data-samples/paints" / (paint + ".json"), o.folder));
+    fmt::print(stderr, "{}", bench::paint_table({results.back()}));
+  }
+  fmt::print("{}, {} views of {} exposures, true rig of seed {}\n\n{}", nominal.name, nominal.plan.size(), nominal.plan.front().exposures_s.size(), o.seed,
+             bench::paint_table(results));
+  return 0;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -49,9 +71,15 @@ int main(int argc, char** argv) {
   command->add_option("--count", rigs.count, "number of rigs")->capture_default_str()->check(CLI::Range(1, 10000));
   command->add_option("--seed", rigs.seed, "of the first")->capture_default_str();
   command->add_flag("--smoke", rigs.smoke, "one rig");
+  PaintOptions paints;
+  CLI::App* end_to_end = app.add_subcommand("paints", "paints of Guenther et al. 2005 end to end, calibrated beside known geometry");
+  end_to_end->add_flag("--full", paints.full, "the plan of the paper (181 views of 16 exposures, 1360 x 1024) instead of the quick one");
+  end_to_end->add_option("--paint", paints.paints, "names in data-samples/paints");
+  end_to_end->add_option("--folder", paints.folder, "for radiance images, emptied and removed; 4 GB with --full")->capture_default_str();
+  end_to_end->add_option("--seed", paints.seed, "of the rig's errors")->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   try {
-    return run_rigs(rigs);
+    return command->parsed() ? run_rigs(rigs) : run_paints(paints);
   } catch (const lacquer::Error& e) {
     std::fprintf(stderr, "bench_geometry: %s\n", e.what());
     return 1;

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <map>
 #include <random>
@@ -12,23 +11,13 @@
 #include "libcalib/calibration.h"
 #include "libcalib/geometry_projection.h"
 #include "libcalib/merge.h"
+#include "stopwatch.h"
 
 namespace lacquer::bench {
 
 namespace {
 
 constexpr double degree = 3.14159265358979323846 / 180;
-
-class Stopwatch {
- public:
-  double lap() {
-    const auto now = std::chrono::steady_clock::now();
-    return std::chrono::duration<double>(now - std::exchange(last_, now)).count();
-  }
-
- private:
-  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
-};
 
 /// What each unknown of the solution should have come out as; the offset of the edges has no truth.
 std::map<std::string, double> true_corrections(const acquire::RigGeometry& nominal, const BuilderErrors& e) {
@@ -157,7 +146,8 @@ RigResult run_rig(const acquire::RigDescription& nominal, const BuilderErrors& e
   result.estimate = calib::estimate_geometry("bench", nominal.geometry, views, calibration, priors, {}, {}).estimate;
   result.calibration_s = watch.lap();
   result.before = calib::geometry_difference(nominal.geometry, world.geometry(), angles);
-  for (calib::ViewAngles& a : angles) a.angle *= result.estimate.turntable_scale;
+  for (std::size_t i = 0; i < angles.size(); ++i)
+    angles[i].angle = result.estimate.turntable_scale * angles[i].angle + result.estimate.uncertainty.angle_correction(views[i].id);
   result.after = calib::geometry_difference(result.estimate.geometry, world.geometry(), angles);
   add_pulls(nominal.geometry, errors, result);
   return result;

@@ -275,6 +275,79 @@ TEST(GeometrySolver, WhatTheImagesDoNotDetermineIsSaid) {
   EXPECT_GT(blind.centre_sigma_px, good.centre_sigma_px);
 }
 
+TEST(GeometrySolver, ARadiusWrongByAPercentShowsAsASphereAtAnotherDistanceAndIsSaid) {
+  auto nominal = nominal_rig(1, 2.84);
+  Draw draw(9);
+  const TrueRig t{nominal, 1};
+  nominal.sphere_radius *= 1.01;
+  const auto e = solve_geometry(nominal, edges_of(t.geometry, 0.05, 0, 360 * degree, 90, draw), highlights_of(t, 0.005, 0, 130, 3, draw));
+  EXPECT_TRUE(mentions(e, "its radius is really 1.0 % smaller"));
+  // Nothing else is amiss: the scene as a whole is 1 % larger, which no image shows.
+  EXPECT_TRUE(e.outliers.empty());
+  EXPECT_LT(e.highlight_rms_px, 0.007);
+  EXPECT_NEAR(e.geometry.cam_from_rig.translation.z, 1.01, 0.002);
+}
+
+TEST(GeometrySolver, ALightWhoseHighlightIsNeverSeenKeepsItsPlaceAndIsSaid) {
+  const auto nominal = nominal_rig(2, 2.84);
+  Draw draw(10);
+  const TrueRig t = built(nominal, {}, draw);
+  auto highlights = highlights_of(t, 0.005, 0, 130, 3, draw);
+  std::erase_if(highlights, [](const Highlight& h) { return h.light == 1; });
+  const auto e = solve_geometry(nominal, edges_of(t.geometry, 0.05, 0, 360 * degree, 90, draw), highlights);
+  EXPECT_TRUE(mentions(e, "light 2: no highlight"));
+  for (const auto& p : e.uncertainty.parameters) EXPECT_EQ(p.name.find("light 2"), std::string::npos) << "not an unknown";
+}
+
+/// Camera, light and the plane of its circle in one plane: all highlights on one line of the image.
+TEST(GeometrySolver, HighlightsOnOneLineLeaveErrorBarsThatHoldTheTruth) {
+  auto nominal = nominal_rig(1, 2.84);
+  nominal.lights[0].position = {0, 0, 0.6};
+  Draw draw(11);
+  const TrueRig t = built(nominal, {}, draw);
+  const auto edges = edges_of(t.geometry, 0.05, 0, 360 * degree, 90, draw);
+  const auto e = solve_geometry(nominal, edges, highlights_of(t, 0.005, 0, 130, 3, draw));
+  const Errors found = errors(e, t);
+  EXPECT_LT(found.half, 3 * e.half_vector_sigma_rad / degree);
+  EXPECT_LT(found.light, 3 * e.light_sigma_rad / degree);
+  EXPECT_LT(found.distance, 3 * e.distance_sigma);
+}
+
+TEST(GeometrySolver, EdgesThatAreWrongTogetherWidenTheErrorBars) {
+  const auto nominal = nominal_rig(1, 2.84);
+  Draw draw(12);
+  const TrueRig t = built(nominal, {}, draw);
+  auto edges = edges_of(t.geometry, 0.02, 0, 360 * degree, 120, draw);
+  const auto alone = solve_geometry(nominal, edges, {});
+  const glm::dvec2 centre = *t.geometry.camera.project(t.geometry.cam_from_rig.translation);
+  for (std::size_t k = 0; k < edges.size(); ++k)  // 0.06 px, in and out six times around the limb
+    edges[k].pixel += glm::normalize(edges[k].pixel - centre) * 0.06 * std::sin(6 * 2 * 3.14159265358979323846 * static_cast<double>(k) / 120);
+  const auto together = solve_geometry(nominal, edges, {});
+  EXPECT_NEAR(alone.edge_noise_factor, 1, 0.3);
+  EXPECT_GT(together.edge_noise_factor, 3.5) << "0.047 px RMS over 0.02 is 2.4; neighbours agree";
+}
+
+TEST(GeometrySolver, TheAngleOfAViewIsKnownFromItsHighlight) {
+  const auto nominal = nominal_rig(1, 2.84);
+  Draw draw(13);
+  const TrueRig t = built(nominal, {}, draw);
+  auto highlights = highlights_of(t, 0.005, 0, 130, 2, draw);
+  std::vector<double> off;
+  for (Highlight& h : highlights) {
+    off.push_back(draw(0.02 * degree));
+    h.turntable_angle -= off.back();
+  }
+  const auto e = solve_geometry(nominal, edges_of(t.geometry, 0.05, 0, 360 * degree, 90, draw), highlights);
+  ASSERT_EQ(e.uncertainty.angles.size(), highlights.size());
+  double before = 0, after = 0;
+  for (std::size_t i = 0; i < highlights.size(); ++i) {
+    before += off[i] * off[i];
+    after += std::pow(e.uncertainty.angle_correction(highlights[i].view) - off[i], 2);
+  }
+  // A common error and one that grows with the angle are the zero angle's and the steps' scale's.
+  EXPECT_LT(after, 0.25 * before);
+}
+
 TEST(GeometrySolver, BadInputIsRefused) {
   auto rig = nominal_rig();
   EXPECT_THROW(solve_geometry(rig, {}, {}), Error);
