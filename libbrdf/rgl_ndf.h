@@ -17,7 +17,7 @@ struct SamplingNdf {
 /// Readers use the two independently: the first scales the values, the second places their nodes. Of the analytic model: `ndf` is its
 /// lobes in proportion to their reflectance, `warp` equal shares of all lobes at twice their width (half Beckmann, half GGX) and of the
 /// diffuse part: of the shapes tried the one with the least error over the eight paints. Of any other BRDF: its values near
-/// retro-reflection, and their square root.
+/// retro-reflection; their square root with a part that gives the flanks of a peak their nodes.
 SamplingNdf sampling_ndf(const Brdf& brdf, std::size_t n);
 
 /// Projected area sigma(theta_i) = integral of <wi, m> D(m) dm, `n` nodes at theta_i = (j / (n - 1))^2 pi/2; linear between the nodes of D.
