@@ -77,7 +77,9 @@ CellSums sums_of(const TableGrid::Cell& cell, const HalfDiff& c, double value, d
 ReachableCells::ReachableCells() {
   // Both cosines are positive where |cos(phi_d)| < cot(theta_h) cot(theta_d), most where both angles are smallest; one cell to spare.
   for (int h = 0; h < TableGrid::n_theta_h; ++h) {
-    squared_slope_[static_cast<std::size_t>(h)] = static_cast<float>(std::pow(std::cos(TableGrid::centre(TableGrid::Cell{h, 0, 0}).theta_h), -4));
+    // Further out only broad lobes are left, which a cell does not widen, and the slope bends within it.
+    const double theta_h = TableGrid::centre(TableGrid::Cell{h, 0, 0}).theta_h;
+    squared_slope_[static_cast<std::size_t>(h)] = theta_h < pi / 9 ? static_cast<float>(std::pow(std::cos(theta_h), -4)) : 0.0f;
     for (int d = 0; d < TableGrid::n_theta_d; ++d) {
       const double tangents = std::tan(TableGrid::theta_h_edge(h)) * std::tan(d * pi / 2 / TableGrid::n_theta_d);
       const double phi = tangents > 1 ? std::acos(1 / tangents) : 0.0;

@@ -20,7 +20,7 @@ struct alignas(16) CellSums {
   float variance = 0;                        ///< of w^2 * variance of f
   float theta_h = 0, theta_d = 0, phi_d = 0; ///< of w * (coordinate - cell's centre)
   /// Of w * footprint; `along` also of w * ((theta_h - cell's centre) dtan(theta_h)/dtheta_h)^2: samples spread over a cell blur it as a
-  /// footprint does.
+  /// footprint does. Up to 20 deg of theta_h.
   float along = 0, across = 0, mixed = 0;
   std::uint32_t count : 31 = 0;
   std::uint32_t bounds : 1 = 0;              ///< of clipped samples; they give way to the first other one
@@ -56,7 +56,7 @@ class ReachableCells {
   bool contains(int row, int phi_d) const {
     return phi_d >= first_[static_cast<std::size_t>(row)] && phi_d < TableGrid::n_phi_d - first_[static_cast<std::size_t>(row)];
   }
-  /// (d tan(theta_h) / d theta_h)^2 at the centre of a theta_h row.
+  /// (d tan(theta_h) / d theta_h)^2 at the centre of a theta_h row; 0 beyond 20 deg.
   float squared_slope(int theta_h) const { return squared_slope_[static_cast<std::size_t>(theta_h)]; }
   int first_phi_d(int row) const { return first_[static_cast<std::size_t>(row)]; }  ///< the last one lies as far from the other end
 
