@@ -12,7 +12,7 @@ namespace lacquer::brdf {
 
 struct CheckOptions {
   double max_theta = 1.3962634015954636;  ///< radians, 80 deg: directions further from the normal are left out of reciprocity
-  std::vector<double> theta_i;            ///< radians, of the reflectances; empty: 0, 10, ... 80 deg
+  std::vector<double> theta_i = {};       ///< radians, of the reflectances; empty: 0, 10, ... 80 deg
   int resolution = 180;                   ///< steps of theta_h, and twice as many of phi_h over the whole turn, of the reflectances' integral
   void validate() const;                  ///< throws Error{usage} naming the field
 };
