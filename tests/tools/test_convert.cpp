@@ -15,13 +15,13 @@ nlohmann::json converted(const std::string& input, const std::filesystem::path& 
   return nlohmann::json::parse(result.out, nullptr, false);
 }
 
-TEST(ConvertCommand, ATableGoesRoundEveryTableFormatWithoutLossOfValues) {
+TEST(ConvertCommand, ATableGoesThroughForeignTablesWithoutLossOfValues) {
   test::TemporaryFolder folder;
   // The model at the cells' centres, from here on only copied.
   const auto first = converted(paint(), folder / "a.exr");
   EXPECT_LT(first.at("metrics").at("mean_abs_log").get<double>(), 1e-6);
   std::filesystem::path last = folder / "a.exr";
-  for (const char* name : {"b.csv", "c.npy", "d.binary", "e.exr"}) {
+  for (const char* name : {"b.npy", "c.binary"}) {
     const auto j = converted(last.string(), folder / name);
     EXPECT_LT(j.at("relative_error").at("max").get<double>(), 1e-6) << name;  // MERL's scales: a float times and divided by a factor
     EXPECT_EQ(j.at("relative_error").at("n_lost"), 0) << name;
