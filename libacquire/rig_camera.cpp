@@ -16,7 +16,7 @@ using Projection = CameraModel::Projection;
 
 TomlTable camera_table(const TomlTable& root) {
   auto table = root.table("camera", {"width_px", "height_px", "layout", "bits", "projection", "focal_length_px", "focal_length_mm",
-                                     "pixel_pitch_um", "scale_px_per_mm", "principal_point_px", "distortion", "position_mm", "look_at_mm",
+                                     "pixel_pitch_um", "scale_px_per_mm", "principal_point_px", "distortion", "lens_file", "position_mm", "look_at_mm",
                                      "up"});
   if (!table) root.fail("", "[camera]: missing; every rig file has this table");
   return *table;
@@ -77,9 +77,21 @@ RigidTransform stated_pose(const TomlTable& t, RigGeometry& geometry) {
   return look_at(position, target, glm::normalize(up));
 }
 
+/// camera.lens_file takes the place of every other statement about the lens.
+void read_lens_file(const TomlTable& t, const RigFiles& files, RigDescription& rig) {
+  for (const char* key : {"focal_length_px", "focal_length_mm", "pixel_pitch_um", "principal_point_px", "distortion"})
+    if (t.has(key)) t.fail(key, "camera.lens_file says it already");
+  const auto file = referenced_file(t, "lens_file", files, rig);
+  rig.lens = read_lens(file);
+  const CameraModel& camera = rig.geometry.camera;
+  if (rig.lens->width != camera.width || rig.lens->height != camera.height)
+    t.fail("lens_file", fmt::format("was calibrated for {} x {} pixels, the camera has {} x {}", rig.lens->width, rig.lens->height, camera.width, camera.height));
+  rig.geometry.camera = camera_of(*rig.lens, file.string());
+}
+
 }  // namespace
 
-void read_camera(const TomlTable& root, RigDescription& rig) {
+void read_camera(const TomlTable& root, const RigFiles& files, RigDescription& rig) {
   const TomlTable t = camera_table(root);
   CameraModel& camera = rig.geometry.camera;
   camera.width = static_cast<int>(t.integer("width_px", 1, 32768));
@@ -89,9 +101,10 @@ void read_camera(const TomlTable& root, RigDescription& rig) {
   rig.sensor.bits = static_cast<int>(t.integer("bits", 8, 16));
   camera.projection = t.choice("projection", {"pinhole", "orthographic"}, 0) == 0 ? Projection::pinhole : Projection::orthographic;
   const bool pinhole = camera.projection == Projection::pinhole;
-  for (const char* key : {"focal_length_px", "focal_length_mm", "pixel_pitch_um", "distortion"})
+  for (const char* key : {"focal_length_px", "focal_length_mm", "pixel_pitch_um", "distortion", "lens_file"})
     if (!pinhole && t.has(key)) t.fail(key, "an orthographic camera has none");
   if (pinhole && t.has("scale_px_per_mm")) t.fail("scale_px_per_mm", "only an orthographic camera has one");
+  if (t.has("lens_file")) return read_lens_file(t, files, rig);
   if (pinhole) camera.focal = focal_length(t);
   camera.centre = t.has("principal_point_px") ? t.vector2("principal_point_px", {-1e6, 1e6})
                                               : glm::dvec2(0.5 * (camera.width - 1), 0.5 * (camera.height - 1));

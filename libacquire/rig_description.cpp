@@ -136,7 +136,7 @@ void read_simulation(const TomlTable& root, const RigFiles& files, RigDescriptio
   const auto table = root.table("simulation", {"paint", "seed", "axis_tilt_x_deg", "axis_tilt_z_deg", "axis_offset_mm",
                                                "step_error_rms_deg", "readback_noise_rms_deg", "led_drift_per_hour", "led_noise_rms",
                                                "stray_light", "blur_px", "sphere_offset_mm", "prnu", "dsnu_e", "dark_nonuniformity",
-                                               "hot_pixels", "dead_pixels", "patch_radiance"});
+                                               "hot_pixels", "dead_pixels", "patch_radiance", "light_factor", "falloff_exponent"});
   if (!table) return;
   const TomlTable& t = *table;
   SimulationDescription& s = rig.simulation;
@@ -154,6 +154,8 @@ void read_simulation(const TomlTable& root, const RigFiles& files, RigDescriptio
   s.stray_light = t.number("stray_light", {0, 1}, 0);
   s.blur_px = t.number("blur_px", {0, 50}, 0);
   s.sphere_offset = t.vector3("sphere_offset_mm", {-1e3, 1e3}, glm::dvec3(0.0)) * metres_per_mm;
+  s.light_factor = t.per_channel("light_factor", Range::above(0, 1e6), s.light_factor);
+  if (t.has("falloff_exponent")) s.falloff_exponent = t.number("falloff_exponent", {0, 1000});
   s.sensor.prnu = t.number("prnu", {0, 0.2}, 0);
   s.sensor.dsnu_e = t.number("dsnu_e", {0, 1e6}, 0);
   s.sensor.dark_nonuniformity = t.number("dark_nonuniformity", {0, 10}, 0);
@@ -173,7 +175,7 @@ RigDescription parse_rig(const std::string& text, const fs::path& file, const fs
   rig.text = text;
   read_kind(root, rig);
   const RigFiles files = locate_files(root, file, data_folder);
-  read_camera(root, rig);
+  read_camera(root, files, rig);
   read_sensor(root, files, rig);
   read_mask(root, files, rig);
   read_sphere_and_pose(root, rig);

@@ -10,6 +10,7 @@
 
 #include "libacquire/device_settings.h"
 #include "libacquire/frame.h"
+#include "libacquire/lens_file.h"
 #include "libacquire/rig_geometry.h"
 
 namespace lacquer::acquire {
@@ -74,6 +75,8 @@ struct SimulationDescription {
   double stray_light = 0;                    ///< fraction of the image's mean radiance added everywhere
   double blur_px = 0;                        ///< sigma of the lens blur, pixels
   glm::dvec3 sphere_offset{0.0};             ///< metres, true sphere centre against nominal
+  glm::dvec3 light_factor{1.0};              ///< true intensity of every light over the stated one, per channel
+  std::optional<double> falloff_exponent;    ///< true one of every near light; nullopt: as stated
   SensorFlaws sensor{};
 };
 
@@ -96,6 +99,7 @@ struct RigDescription {
   std::filesystem::path file;     ///< where it was read from; relative paths in it are relative to its folder
   std::string text;               ///< the file's content, copied into the session
   RigGeometry geometry;           ///< nominal
+  std::optional<Lens> lens;       ///< of camera.lens_file, which geometry.camera then follows; with its covariance, where the file says it
   SensorDescription sensor;
   MaskDescription mask;
   std::vector<PlannedView> plan;

@@ -27,7 +27,7 @@ struct RigFiles {
 };
 
 /// [camera] without its pose, and what a frame looks like.
-void read_camera(const TomlTable& root, RigDescription& rig);
+void read_camera(const TomlTable& root, const RigFiles& files, RigDescription& rig);
 /// [sphere], pose of the camera in [camera]: either stated, or from the sphere's circle in the image.
 void read_sphere_and_pose(const TomlTable& root, RigDescription& rig);
 /// [[lights]] or the light tables of [replay].

@@ -19,6 +19,15 @@ void read_maps(const std::filesystem::path& file, Calibration& c) {
   c.maps_file = file;
 }
 
+/// Empty where the file has none.
+std::vector<double> read_lens_covariance(const JsonReader& camera) {
+  if (!camera.has("covariance")) return {};
+  const auto covariance = camera.numbers("covariance", -1e12, 1e12, 16, 144);
+  const auto n = static_cast<std::size_t>(std::lround(std::sqrt(static_cast<double>(covariance.size()))));
+  if (n * n != covariance.size()) camera.fail("covariance", "as many rows as columns");
+  return covariance;
+}
+
 }  // namespace
 
 Calibration calibration_from_rig(const acquire::RigDescription& rig) {
@@ -47,6 +56,7 @@ Calibration calibration_from_rig(const acquire::RigDescription& rig) {
 
   c.geometry = rig.geometry;
   c.geometry_source = "rig file";
+  if (rig.lens) c.lens_covariance = rig.lens->covariance;
   c.dn_per_radiance = sensor.sensitivity / sensor.gain_e_per_dn;
   c.vignetting = sensor.vignetting;
   c.lens_blur_px = sensor.lens_blur_px;
@@ -82,12 +92,14 @@ void write_calibration(const std::filesystem::path& file, const Calibration& c, 
   if (!c.dark_source.empty()) j["noise"]["darks"] = c.dark_source;
   j["geometry"] = geometry_to_json(c.geometry);
   j["geometry"]["source"] = c.geometry_source;
+  if (!c.lens_covariance.empty()) j["geometry"]["camera"]["covariance"] = c.lens_covariance;
   if (!c.geometry_uncertainty.parameters.empty()) {
     j["geometry"]["turntable_scale"] = c.turntable_scale;
     j["geometry"]["estimate"] = uncertainty_to_json(c.geometry_uncertainty);
   }
   j["scale"] = {{"source", c.scale_source},
                 {"absolute", c.absolute_scale},
+                {"sigma", c.scale_sigma},
                 {"dn_per_radiance", vector_to_json(c.dn_per_radiance)},
                 {"vignetting", c.vignetting},
                 {"lens_blur_px", c.lens_blur_px}};
@@ -123,6 +135,7 @@ Calibration read_calibration(const std::filesystem::path& file) {
   const JsonReader geometry = root.object("geometry");
   c.geometry = geometry_from_json(geometry);
   c.geometry_source = geometry.text("source");
+  c.lens_covariance = read_lens_covariance(geometry.object("camera"));
   if (geometry.has("estimate")) {
     c.turntable_scale = geometry.number("turntable_scale", 0.5, 2);
     c.geometry_uncertainty = uncertainty_from_json(geometry.object("estimate"));
@@ -131,6 +144,7 @@ Calibration read_calibration(const std::filesystem::path& file) {
   const JsonReader scale = root.object("scale");
   c.scale_source = scale.text("source");
   c.absolute_scale = scale.boolean("absolute");
+  if (scale.has("sigma")) c.scale_sigma = scale.number("sigma", 0, 10);
   c.dn_per_radiance = scale.vector3("dn_per_radiance", 1e-30, 1e30);
   c.vignetting = scale.number("vignetting", 0, 0.999);
   c.lens_blur_px = scale.number("lens_blur_px", 0, 100);

@@ -26,11 +26,13 @@ struct Calibration {
   std::string dark_source;            ///< what the dark views of the session said, in words; empty: none were taken
   acquire::RigGeometry geometry;      ///< lens, sphere, turntable axis, lights
   std::string geometry_source;
+  std::vector<double> lens_covariance;  ///< of fx fy cx cy and as much of the distortion as the lens model has, row-major; empty: not known
   double turntable_scale = 1;         ///< true angle = this * angle read back
   GeometryUncertainty geometry_uncertainty;  ///< empty: taken over from the rig file, not estimated
   glm::dvec3 dn_per_radiance{1.0};    ///< linearised DN per second of a radiance of 1 W m^-2 sr^-1, per channel
   bool absolute_scale = true;
   std::string scale_source;
+  double scale_sigma = 0;             ///< relative standard error of the scale, common to all values; without what drifting lights add
   double vignetting = 0;              ///< as SensorDescription::vignetting
   double lens_blur_px = 0;            ///< sigma of the lens blur, pixels
   std::vector<LightDrift> light_drift;  ///< of each light of geometry; empty: the lights were not followed and count as steady

@@ -298,7 +298,7 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
   }
   Tabulation result{accumulator.table(true), counts};
   result.table.absolute_scale = calibration.absolute_scale;
-  result.table.scale_sigma = drift_scale_sigma(session, calibration);
+  result.table.scale_sigma = std::hypot(drift_scale_sigma(session, calibration), calibration.scale_sigma);
   return result;
 }
 

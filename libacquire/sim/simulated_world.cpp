@@ -85,8 +85,12 @@ RigGeometry true_geometry(const RigDescription& description) {
   g.axis_direction = tilted(g.axis_direction, s.axis_tilt_x, s.axis_tilt_z);
   g.axis_point += s.axis_offset - s.sphere_offset;
   g.cam_from_rig.translation += g.cam_from_rig.rotation * s.sphere_offset;
-  for (Light& light : g.lights)
-    if (!light.distant) light.position -= s.sphere_offset;
+  for (Light& light : g.lights) {
+    light.intensity *= s.light_factor;
+    if (light.distant) continue;
+    light.position -= s.sphere_offset;
+    light.falloff_exponent = s.falloff_exponent.value_or(light.falloff_exponent);
+  }
   return g;
 }
 
