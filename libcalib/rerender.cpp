@@ -10,6 +10,7 @@
 
 #include "libbrdf/error.h"
 #include "libbrdf/files.h"
+#include "libcalib/shown_rgb.h"
 
 namespace lacquer::calib {
 
@@ -41,29 +42,14 @@ ViewError view_error(const RadianceImage& image, const Sampler::Prediction& pred
   return e;
 }
 
-/// Linear values per pixel in B, G, R; a mosaic is shown at half size (one 2 x 2 block = one pixel: shown, never measured from).
-/// Blocks with a value that is not `used` stay black: half a block would show as a coloured fringe.
+/// shown_rgb as OpenCV has it.
 cv::Mat to_bgr(const std::vector<float>& values, const std::vector<bool>& used, const RadianceImage& shape, const glm::dvec3& white_balance) {
-  const bool mosaic = acquire::n_channels(shape.layout) == 3 && acquire::values_per_pixel(shape.layout) == 1;
-  const int step = mosaic ? 2 : 1;
-  cv::Mat picture(shape.height / step, shape.width / step, CV_32FC3, cv::Scalar::all(0));
-  const int per_pixel = acquire::values_per_pixel(shape.layout);
-  for (int y = 0; y < picture.rows; ++y)
-    for (int x = 0; x < picture.cols; ++x) {
-      cv::Vec3f sum(0, 0, 0), count(0, 0, 0);
-      bool complete = true;
-      for (int dy = 0; dy < step; ++dy)
-        for (int dx = 0; dx < step; ++dx)
-          for (int k = 0; k < per_pixel; ++k) {
-            const int channel = acquire::channel_of(shape.layout, x * step + dx, y * step + dy, k);
-            const auto i = (static_cast<std::size_t>(y * step + dy) * shape.width + (x * step + dx)) * per_pixel + k;
-            complete = complete && used[i];
-            sum[2 - channel] += values[i];
-            count[2 - channel] += 1;
-          }
-      for (int c = 0; c < 3 && complete; ++c)
-        if (count[c] > 0) picture.at<cv::Vec3f>(y, x)[c] = static_cast<float>(sum[c] / count[c] / white_balance[2 - c]);
-      if (acquire::n_channels(shape.layout) == 1) picture.at<cv::Vec3f>(y, x) = cv::Vec3f::all(picture.at<cv::Vec3f>(y, x)[2]);
+  const ShownRgb shown = shown_rgb(values, used, shape, white_balance);
+  cv::Mat picture(shown.height, shown.width, CV_32FC3);
+  for (int y = 0; y < shown.height; ++y)
+    for (int x = 0; x < shown.width; ++x) {
+      const glm::vec3& rgb = shown.rgb[static_cast<std::size_t>(y) * static_cast<std::size_t>(shown.width) + static_cast<std::size_t>(x)];
+      picture.at<cv::Vec3f>(y, x) = {rgb.z, rgb.y, rgb.x};
     }
   return picture;
 }

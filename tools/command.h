@@ -27,6 +27,9 @@ void add_compare(CLI::App& app, Context& context);
 void add_convert(CLI::App& app, Context& context);
 void add_rerender(CLI::App& app, Context& context);
 void add_measure(CLI::App& app, Context& context);
+void add_report(CLI::App& app, Context& context);
+void add_plot(CLI::App& app, Context& context);
+void add_documentation(CLI::App& app);
 
 /// Progress on stderr: one rewritten line with ETA on a terminal, plain lines (at most one every few seconds) in a log, nothing if quiet.
 Progress stderr_progress(const Context& context);

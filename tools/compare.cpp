@@ -8,6 +8,7 @@
 #include "libbrdf/error.h"
 #include "libbrdf/metrics.h"
 #include "tools/command.h"
+#include "tools/report_page.h"
 #include "tools/summary.h"
 
 namespace lacquer::tools {
@@ -15,30 +16,27 @@ namespace lacquer::tools {
 namespace {
 
 struct Options {
-  std::string a, b;
+  std::vector<std::string> files;  ///< the first is the reference
+  std::string page;
   bool json = false;
   double max_theta_deg = 80;
   brdf::CompareOptions compare;
 };
 
-/// {"version": 1, "software": ..., "command": ..., "inputs": ..., "a": ..., "b": ..., "metrics": ...}
-std::string to_json(const Options& options, const Context& context, const brdf::Brdf& a, const brdf::Brdf& b,
-                    const brdf::BrdfDifference& d) {
-  nlohmann::ordered_json j;
-  j["version"] = 1;
-  j.update(nlohmann::ordered_json::parse(provenance_json(context, {options.a, options.b})));
-  j["a"] = {{"file", options.a}, {"description", a.description()}};
-  j["b"] = {{"file", options.b}, {"description", b.description()}};
-  j["max_theta_deg"] = options.max_theta_deg;
-  auto& m = j["metrics"];
+struct Compared {
+  std::string file;
+  std::shared_ptr<const brdf::Brdf> brdf;
+  brdf::BrdfDifference difference;  ///< from the reference
+};
+
+nlohmann::ordered_json metrics_json(const brdf::BrdfDifference& d) {
+  nlohmann::ordered_json m;
   m["mean_abs_log"] = d.mean_abs_log;
   m["rms_log"] = d.rms_log;
   m["bias_log"] = d.bias_log;
   m["max_abs_log"] = d.max_abs_log;
   m["cosine_rms"] = d.cosine_rms;
-  const auto or_null = [&](double x) {
-    return d.n_pixels ? nlohmann::ordered_json(x) : nlohmann::ordered_json();
-  };
+  const auto or_null = [&](double x) { return d.n_pixels ? nlohmann::ordered_json(x) : nlohmann::ordered_json(); };
   m["delta_e_2000_mean"] = or_null(d.delta_e_mean);
   m["delta_e_2000_p95"] = or_null(d.delta_e_p95);
   m["scale"] = d.scale;
@@ -46,6 +44,24 @@ std::string to_json(const Options& options, const Context& context, const brdf::
   m["n_undefined"] = d.n_undefined;
   m["n_nonpositive"] = d.n_nonpositive;
   m["n_pixels"] = d.n_pixels;
+  return m;
+}
+
+/// {"version": 1, "software", "command", "inputs", "a", "b", "max_theta_deg", "metrics"}; with more than two files also "others": [{"file",
+/// "description", "metrics"}] of the third and following.
+std::string to_json(const Options& options, const Context& context, const brdf::Brdf& a, const std::vector<Compared>& others) {
+  nlohmann::ordered_json j;
+  j["version"] = 1;
+  j.update(nlohmann::ordered_json::parse(provenance_json(context, options.files)));
+  const auto entry = [](const std::string& file, const brdf::Brdf& brdf) { return nlohmann::ordered_json{{"file", file}, {"description", brdf.description()}}; };
+  j["a"] = entry(options.files[0], a);
+  j["b"] = entry(others[0].file, *others[0].brdf);
+  j["max_theta_deg"] = options.max_theta_deg;
+  j["metrics"] = metrics_json(others[0].difference);
+  for (std::size_t i = 1; i < others.size(); ++i) {
+    j["others"].push_back(entry(others[i].file, *others[i].brdf));
+    j["others"].back()["metrics"] = metrics_json(others[i].difference);
+  }
   return j.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 
@@ -55,17 +71,17 @@ std::string name_of(const std::string& file, const brdf::Brdf& brdf) {
   return description.find(file) == std::string::npos ? file + ": " + description : description;
 }
 
-std::string to_text(const Options& options, const brdf::Brdf& a, const brdf::Brdf& b,
-                    const brdf::BrdfDifference& d) {
-  std::string text;
-  text += "A                      " + name_of(options.a, a) + "\n";
-  text += "B                      " + name_of(options.b, b) + "\n";
+std::string to_text(const Options& options, const brdf::Brdf& a, const std::vector<Compared>& others) {
+  std::string text = "A                      " + name_of(options.files[0], a) + "\n";
+  for (std::size_t i = 0; i < others.size(); ++i) text += fmt::format("{:<23}{}\n", std::string(1, static_cast<char>('B' + i)), name_of(others[i].file, *others[i].brdf));
   text += fmt::format("light and camera       within {:g} deg of the normal\n", options.max_theta_deg);
-  text += difference_text(d);
-  if (d.n_nonpositive)
-    text +=
-        fmt::format("values <= 0            {} channel values left out of the ln ratios\n", d.n_nonpositive);
-  if (d.n_pixels == 0) text += "no pixel of the lit sphere is defined in both: dE2000 means nothing\n";
+  for (std::size_t i = 0; i < others.size(); ++i) {
+    const auto& d = others[i].difference;
+    if (others.size() > 1) text += fmt::format("\n{} against A\n", static_cast<char>('B' + i));
+    text += difference_text(d);
+    if (d.n_nonpositive) text += fmt::format("values <= 0            {} channel values left out of the ln ratios\n", d.n_nonpositive);
+    if (d.n_pixels == 0) text += "no pixel of the lit sphere is defined in both: dE2000 means nothing\n";
+  }
   return text;
 }
 
@@ -74,10 +90,9 @@ std::string to_text(const Options& options, const brdf::Brdf& a, const brdf::Brd
 void add_compare(CLI::App& app, Context& context) {
   auto options = std::make_shared<Options>();
   CLI::App* command =
-      app.add_subcommand("compare", "difference between two BRDF files: log ratio, RMS, dE2000");
-  command->add_option("A", options->a, "reference: table.exr, fit.json, MERL .binary or RGL .bsdf")
-      ->required();
-  command->add_option("B", options->b, "the BRDF to judge, any of the same formats")->required();
+      app.add_subcommand("compare", "difference between BRDF files: log ratio, RMS, dE2000");
+  command->add_option("files", options->files, "A B [C...]: the reference and the BRDFs to judge: table.exr, fit.json, MERL .binary or RGL .bsdf")->required()->expected(2, 20);
+  command->add_option("--page", options->page, "HTML page with plots, dE maps and lit spheres of all of them, as lacquer report");
   command->add_flag("--json", options->json, "one JSON object instead of lines for people");
   command->add_flag("--scale", options->compare.scale,
                     "first scale B so that the mean ln ratio is 0 (relative measurements)");
@@ -91,13 +106,17 @@ void add_compare(CLI::App& app, Context& context) {
                   fmt::format("--max-theta-deg: expected an angle above 0 and at most 90, got {}",
                               options->max_theta_deg));
     options->compare.max_theta = options->max_theta_deg * std::numbers::pi / 180;
-    const auto a = brdf::load_brdf(options->a);
-    const auto b = brdf::load_brdf(options->b);
-    const brdf::BrdfDifference difference = brdf::compare(*a, *b, options->compare);
+    const auto a = brdf::load_brdf(options->files[0]);
+    std::vector<Compared> others;
+    for (std::size_t i = 1; i < options->files.size(); ++i) {
+      std::shared_ptr<const brdf::Brdf> b = brdf::load_brdf(options->files[i]);
+      others.push_back({options->files[i], b, brdf::compare(*a, *b, options->compare)});
+    }
     if (options->json)
-      fmt::print("{}\n", to_json(*options, context, *a, *b, difference));
+      fmt::print("{}\n", to_json(*options, context, *a, others));
     else
-      fmt::print("{}", to_text(*options, *a, *b, difference));
+      fmt::print("{}", to_text(*options, *a, others));
+    if (!options->page.empty()) write_brdf_report(load_named_brdfs(options->files), options->page, {.probe = {}, .max_theta_deg = options->max_theta_deg});
   });
 }
 

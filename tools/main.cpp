@@ -51,6 +51,9 @@ int main(int argc, char** argv) {
   tools::add_compare(app, context);
   tools::add_convert(app, context);
   tools::add_rerender(app, context);
+  tools::add_report(app, context);
+  tools::add_plot(app, context);
+  tools::add_documentation(app);
 
   try {
     app.parse(argc, argv);

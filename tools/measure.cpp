@@ -14,6 +14,7 @@
 #include "tools/drift_report.h"
 #include "tools/dry_run.h"
 #include "tools/measure_chain.h"
+#include "tools/measure_record.h"
 #include "tools/report_page.h"
 #include "tools/summary.h"
 
@@ -24,7 +25,7 @@ namespace {
 struct Options {
   std::string rig, paint, data, session;
   double max_theta_deg = 85;
-  bool dry_run = false, no_checks = false;
+  bool dry_run = false, no_checks = false, no_report = false;
   MeasureOptions measure;
 };
 
@@ -85,8 +86,10 @@ void run(const Options& options, const Context& context) {
   fmt::print("{}\n", rerender_text(m.view_errors));
   if (against_truth) fmt::print("\nfit against the truth ({}):\n{}", paint->description(), difference_text(*against_truth));
   fmt::print("\n{}{}\n", bracket_text(m.session), stage_text(m));
-  write_report(folder, rig, m, truth ? &truth->model() : nullptr, against_truth);
-  fmt::print("session: {}\nreport: {}\n", folder.string(), (folder / "report.html").string());
+  write_measure_record(folder / "measure.json", {m.seconds, m.view_errors, coverage_text(m.tabulation)}, measure_options.provenance_json);
+  if (!options.no_report) write_session_report(folder, folder / "report.html", {});
+  fmt::print("session: {}\n", folder.string());
+  if (!options.no_report) fmt::print("report: {}\n", (folder / "report.html").string());
   if (plot_drift(m.calibration, folder / "drift.svg")) fmt::print("drift of the lights: {}\n", (folder / "drift.svg").string());
 }
 
@@ -105,6 +108,7 @@ void add_measure(CLI::App& app, Context& context) {
                     "estimate sphere, turntable axis and lights from the images, as lacquer calibrate geometry does");
   command->add_flag("--resume", options->measure.resume, "go on with a capture that was interrupted in this session folder");
   command->add_flag("--no-checks", options->no_checks, "begin at once, without the check of the camera's exposure");
+  command->add_flag("--no-report", options->no_report, "without report.html (lacquer report writes it later)");
   command->add_flag("--dry-run", options->dry_run, "only say what it would be: plan, duration, disk space, coverage of the table");
   command->callback([options, &context] { run(*options, context); });
 }

@@ -3,149 +3,133 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cmath>
-#include <fstream>
-#include <limits>
+#include <nlohmann/json.hpp>
 
 #include "libbrdf/files.h"
-#include "tools/drift_report.h"
-#include "tools/pictures.h"
-#include "tools/summary.h"
+#include "libbrdf/table.h"
+#include "tools/measure_record.h"
 
 namespace lacquer::tools {
 
 namespace {
 
-using brdf::TableGrid;
+namespace fs = std::filesystem;
 
-constexpr const char* style = R"(<style>
-:root { color-scheme: light dark; --line: #8884; --warn: #b45309; }
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 0 auto; padding: 1rem; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; border-bottom: 1px solid var(--line); }
-pre { overflow-x: auto; padding: .6rem; border: 1px solid var(--line); font-size: .85rem; }
-.warning { border-left: 4px solid var(--warn); padding: .3rem .8rem; margin: .5rem 0; }
-.row { display: flex; flex-wrap: wrap; gap: 1rem; } .row figure { flex: 1 1 18rem; max-width: 22.5rem; } figure { margin: 0; max-width: 100%; }
-figcaption { font-size: .85rem; } img { max-width: 100%; height: auto; }
-@media print { body { max-width: none; } }
-</style>)";
-
-std::string escaped(const std::string& s) {
-  std::string out;
-  for (const char c : s) {
-    switch (c) {
-      case '<': out += "&lt;"; break;
-      case '>': out += "&gt;"; break;
-      case '&': out += "&amp;"; break;
-      case '"': out += "&quot;"; break;
-      default: out += c;
-    }
-  }
-  return out;
+const brdf::HalfAngleTable* table_of(const ReportBrdf* b) {
+  const auto* table = b ? dynamic_cast<const brdf::TableBrdf*>(b->brdf.get()) : nullptr;
+  return table ? &table->table() : nullptr;
 }
 
-std::string figure(const std::string& png, const std::string& caption) {
-  return fmt::format("<figure><img alt=\"{0}\" src=\"data:image/png;base64,{1}\"><figcaption>{0}</figcaption></figure>\n", escaped(caption),
-                     base64(png));
+std::string warning_list(const std::vector<std::string>& warnings) {
+  if (warnings.empty()) return "<p>No warnings.</p>\n";
+  std::string html;
+  for (const auto& w : warnings) html += "<div class=warning role=note>" + html_escaped(w) + "</div>\n";
+  return html;
 }
 
-std::vector<std::string> warnings(const Measurement& m) {
+/// JSON text indented; as it is where it is none.
+std::string indented(const std::string& json) {
+  const auto parsed = nlohmann::ordered_json::parse(json, nullptr, false);
+  return parsed.is_discarded() ? json : parsed.dump(1);
+}
+
+std::vector<std::string> session_warnings(const ReportSession& s) {
   std::vector<std::string> list;
-  if (!m.fit.converged) list.push_back("The fit did not converge: " + m.fit.message);
-  if (m.calibration.geometry_source == "rig file") list.push_back("Geometry (lens, sphere, lights, axis) is taken from the rig file, not estimated from the images.");
-  if (!m.tabulation.table.absolute_scale) list.push_back("The scale is relative: no reference of known reflectance was measured. kd and ks are in arbitrary units.");
-  const auto& counts = m.tabulation.counts;
-  if (counts.clipped > 0) list.push_back(fmt::format("{} values were clipped in every exposure and are missing from the table.", counts.clipped));
-  for (const auto& p : m.fit.parameters)
-    if (!p.determined) list.push_back(fmt::format("{} is not determined by the data.", p.name));
-  for (const auto& p : m.fit.parameters)
-    if (p.determined && p.at_bound) list.push_back(fmt::format("{} stands at its bound ({:.4g}).", p.name, p.value));
+  const fs::path fit = s.session.folder / "fit.json";
+  if (fs::exists(fit)) list = fit_warnings(fit);
+  if (!s.calibration) {
+    list.push_back("There is no calibration.json: nothing of sensor and geometry is known, and nothing was merged.");
+    return list;
+  }
+  if (s.calibration->geometry_source == "rig file") list.push_back("Geometry (lens, sphere, lights, axis) is taken from the rig file, not estimated from the images.");
+  const brdf::HalfAngleTable* table = table_of(s.find("table"));
+  if (table && !table->absolute_scale) list.push_back("The scale is relative: no reference of known reflectance was measured. kd and ks are in arbitrary units.");
+  if (!table) list.push_back("There is no table.exr yet (lacquer tabulate).");
+  if (!s.find("fit")) list.push_back("There is no fit.json yet (lacquer fit).");
   return list;
 }
 
-/// Slices of table, fit and their log ratio, green (or only) channel.
-std::string slices(const Measurement& m) {
-  const auto& channel = m.tabulation.table.channels[m.tabulation.table.channels.size() / 2];
-  const int colour = m.tabulation.table.channels.size() == 3 ? 1 : 0;
-  double low = std::numeric_limits<double>::infinity(), high = -low;
-  for (int h = 0; h < TableGrid::n_theta_h; ++h)
-    for (int d = 0; d < TableGrid::n_theta_d; ++d) {
-      const std::size_t i = TableGrid::index(TableGrid::Cell{h, d, TableGrid::n_phi_d / 2});
-      if (!brdf::has_value(channel.origin[i]) || !(channel.mean[i] > 0)) continue;
-      low = std::min(low, std::log10(static_cast<double>(channel.mean[i])));
-      high = std::max(high, std::log10(static_cast<double>(channel.mean[i])));
-    }
-  if (!(high > low)) return "<p>No positive value in this slice.</p>\n";
-
-  const auto table = [&](const TableGrid::Cell& c) -> std::optional<double> {
-    const std::size_t i = TableGrid::index(c);
-    if (!brdf::has_value(channel.origin[i]) || !(channel.mean[i] > 0)) return std::nullopt;
-    return std::log10(static_cast<double>(channel.mean[i]));
-  };
-  const auto fit = [&](const TableGrid::Cell& c) -> std::optional<double> {
-    if (!TableGrid::reachable(c, 0.02)) return std::nullopt;
-    return m.fit.model.log_value(brdf::half_angle_cosines(TableGrid::centre(c)))[colour] / std::log(10.0);
-  };
-  const auto ratio = [&](const TableGrid::Cell& c) -> std::optional<double> {
-    const std::size_t i = TableGrid::index(c);
-    if (!table(c)) return std::nullopt;
-    const brdf::HalfDiff at{channel.theta_h[i], channel.theta_d[i], channel.phi_d[i]};  // where the samples were
-    return m.fit.model.log_value(brdf::half_angle_cosines(at))[colour] - std::log(static_cast<double>(channel.mean[i]));
-  };
-  return "<div class=row>" + figure(slice_png(table, low, high, "log10 1/sr"), "Table at phi_d = 90 degrees; grey: nothing measured") +
-         figure(slice_png(fit, low, high, "log10 1/sr"), "Fit at the same cells") +
-         figure(slice_png(ratio, -0.1, 0.1, "ln ratio"), "ln(fit / table), within 10 percent dark to bright") + "</div>\n";
-}
-
-std::string spheres(const Measurement& m, const brdf::CookTorrance* truth) {
-  std::string html = "<div class=row>";
-  if (truth) html += figure(sphere_png(brdf::CookTorranceBrdf(*truth), 256), "Truth");
-  html += figure(sphere_png(brdf::CookTorranceBrdf(m.fit.model), 256), "Fit");
-  html += figure(sphere_png(brdf::TableBrdf(m.tabulation.table, "table"), 256), "Table (dark: nothing measured)");
-  return html + "</div>\n";
-}
-
-std::string view_errors(const std::vector<calib::ViewError>& errors) {
-  std::string html = "<details><summary>Error of every photograph</summary><pre>view      rel. RMS   mean |ln|   mean ln\n";
-  for (const auto& e : errors)
-    html += fmt::format("{:<8} {:>7.2f} % {:>10.4f} {:>+9.4f}\n", escaped(e.view), 100 * e.relative_rms, e.mean_abs_log, e.bias_log);
-  return html + "</pre></details>\n";
+HtmlSection provenance_section(const ReportSession& s) {
+  std::string html = fmt::format("<p>Captured by {} with <code>{}</code>.</p>\n", html_escaped(s.session.software), html_escaped(s.session.command_line));
+  if (const auto record = read_measure_record(s.session.folder / "measure.json")) {
+    std::vector<std::vector<std::string>> rows;
+    for (const auto& [stage, seconds] : record->seconds) rows.push_back({stage, fmt::format("{:.2f} s", seconds)});
+    html += html_table("Time of every stage, wall clock", {"stage", "time"}, rows);
+  }
+  if (const auto* table = table_of(s.find("table"))) html += "<details><summary>Provenance of the table</summary><pre>" + html_escaped(indented(table->provenance_json)) + "</pre></details>\n";
+  html += "<details><summary>Rig file</summary><pre>" + html_escaped(s.session.rig.text) + "</pre></details>\n";
+  return {"provenance", "Provenance", html};
 }
 
 }  // namespace
 
-void write_report(const std::filesystem::path& session, const acquire::RigDescription& rig, const Measurement& m,
-                  const brdf::CookTorrance* truth, const std::optional<brdf::BrdfDifference>& against_truth) {
-  const auto section = [](const std::string& title, const std::string& body) {
-    return fmt::format("<section><h2>{}</h2>\n{}</section>\n", title, body);
+const ReportBrdf* ReportSession::find(const std::string& name) const {
+  const auto found = std::find_if(brdfs.begin(), brdfs.end(), [&](const auto& b) { return b.name == name; });
+  return found == brdfs.end() ? nullptr : &*found;
+}
+
+ReportSession read_report_session(const fs::path& folder) {
+  ReportSession s{acquire::read_session(folder), {}, {}};
+  if (fs::exists(folder / "calibration.json")) s.calibration = calib::read_calibration(folder / "calibration.json");
+  const auto add = [&](const char* name, const fs::path& file) {
+    if (!file.empty() && fs::exists(file)) s.brdfs.push_back({name, file.string(), brdf::load_brdf(file)});
   };
-  const auto preformatted = [](const std::string& body) { return "<pre>" + escaped(body) + "</pre>\n"; };
+  add("table", folder / "table.exr");
+  add("fit", folder / "fit.json");
+  if (s.session.rig.kind == acquire::RigDescription::Kind::simulated) add("truth", s.session.rig.simulation.paint);
+  return s;
+}
 
-  std::string html = "<!doctype html>\n<html lang=en><head><meta charset=utf-8><meta name=viewport content=\"width=device-width\">";
-  const std::string name = escaped(session.filename().empty() ? session.parent_path().filename().string() : session.filename().string());
-  html += fmt::format("<title>Lacquer: {0}</title>{1}</head><body>\n<h1>Lacquer: {0}</h1>\n<p>Rig: {2}. {3} views, {4} frames.</p>\n", name,
-                      style, escaped(rig.name), m.n_views, m.n_frames);
-  for (const auto& w : warnings(m)) html += "<div class=warning role=note>" + escaped(w) + "</div>\n";
+void write_session_report(const fs::path& folder, const fs::path& output, const ReportOptions& options) {
+  const ReportSession s = read_report_session(folder);
+  const fs::path full = fs::absolute(folder).lexically_normal();
+  const std::string name = full.filename().empty() ? full.parent_path().filename().string() : full.filename().string();
+  std::vector<HtmlSection> sections;
+  const ReportBrdf* truth = s.find("truth");
+  if (s.find("fit")) sections.push_back(parameters_section(folder / "fit.json", truth ? truth->brdf.get() : nullptr));
+  // What was measured, fit and truth together where a table is there; a truth alone is no measurement.
+  const bool measured = s.find("table") || s.find("fit");
+  if (measured && s.brdfs.size() > 1) sections.push_back(comparison_section(s.brdfs, options));
+  if (measured && s.calibration) sections.push_back(photographs_section(s));
+  if (measured) {
+    sections.push_back(spheres_section(s.brdfs, options));
+    sections.push_back(lobes_section(s.brdfs));
+    sections.push_back(slices_section(s.brdfs));
+  }
+  sections.push_back(capture_section(s));
+  if (s.calibration) {
+    sections.push_back(sensor_section(s));
+    sections.push_back(geometry_section(s));
+  }
+  sections.push_back(provenance_section(s));
+  std::string introduction = warning_list(session_warnings(s));
+  if (const auto record = read_measure_record(folder / "measure.json")) introduction += "<pre>" + html_escaped(record->coverage) + "</pre>\n";
+  brdf::write_text_atomically(output, html_page("Lacquer: " + name, introduction, sections));
+}
 
-  html += section(truth ? "Parameters beside the truth" : "Parameters",
-                  preformatted(parameter_table(m.fit, truth)) +
-                      preformatted(fmt::format("fit to the table: mean |ln| {:.5f}, rms {:.5f}, chi2/n {:.2f}, {} of {} cells\nresponse: {}\nnoise: {}\n"
-                                               "geometry: {}\nscale: {}\n",
-                                               m.fit.mean_abs_log, m.fit.rms_log, m.fit.reduced_chi2, m.fit.n_cells, m.fit.n_cells_available,
-                                               m.calibration.response_source, m.calibration.noise_source, m.calibration.geometry_source,
-                                               m.calibration.scale_source)) +
-                      preformatted(light_and_dark_text(m.calibration)));
-  if (against_truth) html += section("Fit against the truth", preformatted(difference_text(*against_truth)));
-  html += section("Photographs re-rendered from the fit",
-                  figure(brdf::read_text(session / "rerendered.png"), "Photograph, re-rendering and difference of views spread over the session") +
-                      view_errors(m.view_errors));
-  html += section("Table and fit", preformatted(coverage_text(m.tabulation)) + slices(m));
-  html += section("Lit spheres", spheres(m, truth));
-  std::string times;
-  for (const auto& [stage, seconds] : m.seconds) times += fmt::format("{:<14} {:>8.2f} s\n", stage, seconds);
-  html += section("Time of every stage", preformatted(times));
-  html += section("Provenance", preformatted(m.tabulation.table.provenance_json));
-  html += "</body></html>\n";
-  brdf::write_text_atomically(session / "report.html", html);
+void write_brdf_report(const std::vector<ReportBrdf>& brdfs, const fs::path& output, const ReportOptions& options) {
+  std::vector<std::string> warnings;
+  std::vector<std::vector<std::string>> rows;
+  std::vector<HtmlSection> sections;
+  int n_fits = 0;
+  for (const auto& b : brdfs) {
+    rows.push_back({b.name, b.brdf->description(), b.file});
+    if (const auto* table = table_of(&b); table && !table->absolute_scale) warnings.push_back(b.name + ": the scale is relative.");
+    if (!dynamic_cast<const brdf::CookTorranceBrdf*>(b.brdf.get())) continue;
+    for (const auto& w : fit_warnings(b.file)) warnings.push_back(b.name + ": " + w);
+    HtmlSection parameters = parameters_section(b.file, nullptr);
+    parameters.id += std::to_string(++n_fits);
+    parameters.title += " of " + b.name;
+    sections.push_back(std::move(parameters));
+  }
+  if (brdfs.size() > 1) sections.push_back(comparison_section(brdfs, options));
+  sections.push_back(spheres_section(brdfs, options));
+  sections.push_back(lobes_section(brdfs));
+  sections.push_back(slices_section(brdfs));
+  sections.push_back({"files", "Files", html_table("BRDFs of this page", {"name", "what", "file"}, rows)});
+  std::string title = "Lacquer:";
+  for (const auto& b : brdfs) title += (&b == &brdfs.front() ? " " : ", ") + b.name;
+  brdf::write_text_atomically(output, html_page(title, warning_list(warnings), sections));
 }
 
 }  // namespace lacquer::tools

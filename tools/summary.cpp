@@ -13,13 +13,6 @@ namespace lacquer::tools {
 
 namespace {
 
-/// Value with its standard error: as many digits as the first two of the error, e.g. "0.05498 ± 0.00021".
-std::string with_error(double value, double sigma) {
-  if (!(sigma > 0)) return fmt::format("{:.6g}", value);
-  const int decimals = std::clamp(1 - static_cast<int>(std::floor(std::log10(sigma))), 0, 12);
-  return fmt::format("{:.{}f} ± {:.{}f}", value, decimals, sigma, decimals);
-}
-
 /// `text` padded on the right to `width` columns ("±" is two bytes but one column).
 std::string padded(const std::string& text, std::size_t width) {
   const auto columns = static_cast<std::size_t>(
@@ -86,17 +79,29 @@ std::string coverage_text(const calib::Tabulation& tabulation) {
       tabulation.table.channels.size() == 3 ? " (green channel)" : "");
 }
 
+std::string with_error(double value, double sigma) {
+  if (!(sigma > 0)) return fmt::format("{:.6g}", value);
+  const int decimals = std::clamp(1 - static_cast<int>(std::floor(std::log10(sigma))), 0, 12);
+  return fmt::format("{:.{}f} ± {:.{}f}", value, decimals, sigma, decimals);
+}
+
+std::vector<ParameterRow> parameter_rows(const fit::FitResult& fit, const brdf::CookTorrance* truth) {
+  const auto true_values = truth ? named_parameters(matched(*truth, fit.model)) : std::vector<std::pair<std::string, double>>{};
+  std::vector<ParameterRow> rows;
+  for (const auto& p : fit.parameters) {
+    const auto found = std::find_if(true_values.begin(), true_values.end(), [&](const auto& t) { return t.first == p.name; });
+    rows.push_back({p.name, with_error(p.value, p.determined ? p.sigma : 0), found != true_values.end() ? fmt::format("{:.5g}", found->second) : "",
+                    !p.determined ? "not determined by the data" : p.at_bound ? "at its bound" : ""});
+  }
+  return rows;
+}
+
 std::string parameter_table(const fit::FitResult& fit, const brdf::CookTorrance* truth) {
   std::string text = padded("parameter", 12) + padded("fitted", 26) + (truth ? "truth" : "") + "\n";
-  const auto true_values = truth ? named_parameters(matched(*truth, fit.model)) : std::vector<std::pair<std::string, double>>{};
-  for (const auto& p : fit.parameters) {
-    std::string line = padded(p.name, 12) + padded(with_error(p.value, p.determined ? p.sigma : 0), 26);
-    const auto found = std::find_if(true_values.begin(), true_values.end(), [&](const auto& t) { return t.first == p.name; });
-    if (found != true_values.end()) line += padded(fmt::format("{:.5g}", found->second), 10);
-    if (!p.determined)
-      line += "  not determined by the data";
-    else if (p.at_bound)
-      line += "  at its bound";
+  for (const auto& row : parameter_rows(fit, truth)) {
+    std::string line = padded(row.name, 12) + padded(row.fitted, 26);
+    if (!row.truth.empty()) line += padded(row.truth, 10);
+    if (!row.note.empty()) line += "  " + row.note;
     text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
   }
   return text;

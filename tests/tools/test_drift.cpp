@@ -47,7 +47,7 @@ TEST(DriftOfTheLight, IsTakenOutByReferenceViewsAndMissedWithoutThem) {
   for (const bool references : {false, true}) {
     const auto rig = folder / (references ? "followed.toml" : "steady.toml"), session = folder / (references ? "followed" : "steady");
     test::write_file(rig, drifting_rig(references));
-    const auto result = run_lacquer("measure " + quoted(rig) + " -o " + quoted(session));
+    const auto result = run_lacquer("measure --no-report " + quoted(rig) + " -o " + quoted(session));
     ASSERT_EQ(result.exit_code, 0) << result.err;
     const auto [bias, sigma] = measured_kd(session);
     if (references) {
@@ -66,7 +66,7 @@ TEST(DriftOfTheLight, MergingTheSessionAgainGivesTheSame) {
   test::TemporaryFolder folder;
   test::write_file(folder / "rig.toml", drifting_rig(true));
   const auto session = folder / "s";
-  ASSERT_EQ(run_lacquer("measure " + quoted(folder / "rig.toml") + " -o " + quoted(session)).exit_code, 0);
+  ASSERT_EQ(run_lacquer("measure --no-report " + quoted(folder / "rig.toml") + " -o " + quoted(session)).exit_code, 0);
   const brdf::HalfAngleTable table = brdf::read_table(session / "table.exr");
   const std::string view = brdf::file_checksum(session / "radiance" / "L004.exr");
   for (const std::string stage : {"merge ", "tabulate "}) {

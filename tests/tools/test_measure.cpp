@@ -47,7 +47,7 @@ TEST(Measure, RunsTheWholeChainAndWritesEverySessionFile) {
 TEST(Measure, IsTheSameAsItsStagesOneByOneOnTheCommittedSession) {
   test::TemporaryFolder folder;
   const auto measured = folder / "measured", staged = folder / "staged";
-  ASSERT_EQ(run_lacquer("measure " + quoted(tiny_rig()) + " -o " + quoted(measured)).exit_code, 0);
+  ASSERT_EQ(run_lacquer("measure --no-report " + quoted(tiny_rig()) + " -o " + quoted(measured)).exit_code, 0);
   std::filesystem::copy(test::source_dir() / "data-samples" / "session-tiny", staged, std::filesystem::copy_options::recursive);
   for (const std::string stage : {"merge ", "calibrate geometry --from-rig ", "tabulate "}) {
     const auto result = run_lacquer(stage + quoted(staged));
@@ -67,8 +67,8 @@ TEST(Measure, IsTheSameAsItsStagesOneByOneOnTheCommittedSession) {
 TEST(Measure, GivesTheSameTableAndFitOnOneProcessorAndOnAll) {
   if (std::system("taskset -c 0 true >/dev/null 2>&1") != 0) GTEST_SKIP() << "SKIPPED LOUDLY: taskset is not here";
   test::TemporaryFolder folder;
-  ASSERT_EQ(run_lacquer("measure " + quoted(tiny_rig()) + " -o " + quoted(folder / "all")).exit_code, 0);
-  const std::string one = "taskset -c 0 " + std::string(LACQUER_BINARY) + " -q measure " + quoted(tiny_rig()) + " -o " + quoted(folder / "one") + " >/dev/null";
+  ASSERT_EQ(run_lacquer("measure --no-report " + quoted(tiny_rig()) + " -o " + quoted(folder / "all")).exit_code, 0);
+  const std::string one = "taskset -c 0 " + std::string(LACQUER_BINARY) + " -q measure --no-report " + quoted(tiny_rig()) + " -o " + quoted(folder / "one") + " >/dev/null";
   ASSERT_EQ(std::system(one.c_str()), 0);
   const brdf::HalfAngleTable a = brdf::read_table(folder / "all" / "table.exr"), b = brdf::read_table(folder / "one" / "table.exr");
   for (std::size_t c = 0; c < 3; ++c) {
@@ -104,7 +104,7 @@ TEST(Measure, FitOfTheDiligentBallReRendersItsPhotographs) {
   LACQUER_NEEDS_SHARED_DATA("spheres/diligent-ball");
   test::TemporaryFolder folder;
   const auto session = folder / "ball";
-  const auto measured = run_lacquer("measure " + quoted(test::source_dir() / "rigs" / "diligent-ball.toml") + " --data " +
+  const auto measured = run_lacquer("measure --no-report " + quoted(test::source_dir() / "rigs" / "diligent-ball.toml") + " --data " +
                                     quoted(test::shared_data() / "spheres" / "diligent-ball") + " -o " + quoted(session));
   ASSERT_EQ(measured.exit_code, 0) << measured.err;
   EXPECT_NE(measured.out.find("scale: relative"), std::string::npos);
