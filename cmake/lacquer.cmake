@@ -1,8 +1,9 @@
 # Compiler settings of every target of ours. No -march (breaks at Debian's Eigen/Ceres boundary), no -ffast-math (kills NaN checks).
 add_library(lacquer_options INTERFACE)
-target_compile_options(lacquer_options INTERFACE -Wall -Wextra -Wpedantic -Wconversion -Wno-sign-conversion -fno-math-errno
-                                               -Wno-restrict)  # g++ 12 warns falsely on std::string + char* (GCC PR 105651)
-target_include_directories(lacquer_options INTERFACE ${CMAKE_SOURCE_DIR})
+target_compile_options(lacquer_options INTERFACE "$<BUILD_INTERFACE:-Wall;-Wextra;-Wpedantic;-Wconversion;-Wno-sign-conversion;-fno-math-errno;-Wno-restrict>")
+# -Wno-restrict: g++ 12 warns falsely on std::string + char* (GCC PR 105651)
+target_compile_features(lacquer_options INTERFACE cxx_std_20)
+target_include_directories(lacquer_options INTERFACE $<BUILD_INTERFACE:${CMAKE_SOURCE_DIR}> $<INSTALL_INTERFACE:include/lacquer>)
 if(LACQUER_WERROR)
   target_compile_options(lacquer_options INTERFACE -Werror)
 endif()
