@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "bench/markdown.h"
 #include "bench/radiometry/cases.h"
 #include "bench/radiometry/exr_compression.h"
 #include "bench/radiometry/machine.h"
@@ -27,12 +28,6 @@ struct Results {
   std::vector<CompressionResult> compressions;
 };
 
-struct Table {
-  std::string name;                    ///< of the place in the document
-  std::string title;
-  std::vector<std::vector<std::string>> rows;  ///< the first is the header
-};
-
 std::vector<Table> tables_of(const Results& results);
 
 /// What was asked for beside what was found. Timings are in `tables_of` only; `met` of a timing does not fail a smoke run.
@@ -43,13 +38,7 @@ struct Target {
 
 std::vector<Target> targets_of(const Results& results);
 
-/// Columns padded: reads well as text and is Markdown.
-std::string as_markdown(const Table& table);
-
 std::string as_json(const Results& results);
-
-/// Replaces what stands between "<!-- table NAME -->" and "<!-- end -->" in `document`. Throws Error where a table has no such place.
-void write_into(const std::filesystem::path& document, const std::vector<Table>& tables);
 
 /// Error against time, all methods on the 8-bit stack.
 std::string plot_script(const Results& results);
