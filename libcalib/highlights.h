@@ -26,6 +26,8 @@ struct HighlightResult {
   Highlight highlight;   ///< if found; view, light and angle are the caller's
   double width_rad = 0;  ///< 1/e radius, slope of the half vector
   double contrast = 0;
+  double asymmetry = 0;  ///< by how much the centre moves when the flanks are left out, sigmas of the lobe
+  double left_out = 0;   ///< share of the lobe that the fit does not believe
 };
 
 /// Mirror peak of one near light. The peak's shape is known in half vectors, not in pixels: an isotropic lobe is symmetric about the
@@ -33,7 +35,8 @@ struct HighlightResult {
 /// a whole, over a window symmetric about it: a lobe of any profile gives its centre without bias. `calibration.geometry` must have the
 /// sphere where it is, the light roughly; fit again with the solved geometry where the shift was more than a few pixels. The mosaic's
 /// colours are fitted with a height each; nothing is interpolated. The covariance comes from the residuals where they exceed the noise.
+/// `corner`: pixel of the camera at which `image` begins.
 HighlightResult find_highlight(const RadianceImage& image, const Calibration& calibration, std::size_t light, double turntable_angle,
-                               const HighlightOptions& options);
+                               const HighlightOptions& options, const glm::ivec2& corner = glm::ivec2(0));
 
 }  // namespace lacquer::calib

@@ -1,13 +1,16 @@
 #include "libcalib/sphere_outline.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
+#include <limits>
 
 #include "libbrdf/error.h"
-#include "libcalib/response_algebra.h"
+#include "libcalib/geometry_projection.h"
+#include "libcalib/limb_profile.h"
 
 namespace lacquer::calib {
 
@@ -15,105 +18,11 @@ namespace {
 
 constexpr double pi = 3.14159265358979323846;
 
-struct Value {
-  double distance;  ///< from the silhouette, pixels, > 0 outside
-  double radiance, variance;
-};
-
-/// Mean of 1, sqrt(t)+, t+ (t: depth inside the silhouette) over a Gaussian of `sigma` at signed distance `d` (> 0 outside).
-std::array<double, 3> blurred_limb(double d, double sigma) {
-  constexpr int n = 24;  // midpoints in u = sqrt(depth), where the integrand is smooth
-  std::array<double, 3> mean{};
-  const double deepest = 5 * sigma - d, shallowest = std::max(0.0, -5 * sigma - d);
-  if (!(deepest > 0)) return mean;
-  const double u0 = std::sqrt(shallowest), u1 = std::sqrt(deepest);
-  for (int i = 0; i < n; ++i) {
-    const double u = u0 + (u1 - u0) * (i + 0.5) / n, t = u * u, z = (t + d) / sigma;
-    const double weight = 2 * u * (u1 - u0) / n * std::exp(-0.5 * z * z) / (sigma * std::sqrt(2 * pi));
-    mean[0] += weight;
-    mean[1] += weight * u;
-    mean[2] += weight * t;
-  }
-  return mean;
-}
-
-struct ProfileFit {
-  double shift = 0, sigma = 0, cost = 0, step = 0, step_sigma = 0;
-  bool good = false;
-};
-
-/// Least squares of background and limb profile for a silhouette at `shift`; cost in residuals over sigma.
-struct LinearFit {
-  double cost = 0, step = 0;
-};
-LinearFit fit_at(const std::vector<Value>& values, double shift, double blur) {
-  SymmetricMatrix a(4);
-  std::vector<double> b(4);
-  double total = 0;
-  std::vector<std::array<double, 4>> rows;
-  for (const Value& v : values) {
-    const auto limb = blurred_limb(v.distance - shift, blur);
-    rows.push_back({1, limb[0], limb[1], limb[2]});
-    const double w = 1 / v.variance;
-    for (std::size_t r = 0; r < 4; ++r) {
-      b[r] += w * rows.back()[r] * v.radiance;
-      for (std::size_t c = 0; c <= r; ++c) a.at(r, c) += w * rows.back()[r] * rows.back()[c];
-    }
-    total += w * v.radiance * v.radiance;
-  }
-  const std::vector<double> x = solve(a, b);
-  LinearFit fit;
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    double r = values[i].radiance;
-    for (std::size_t k = 0; k < 4; ++k) r -= x[k] * rows[i][k];
-    fit.cost += r * r / values[i].variance;
-  }
-  fit.step = x[1] + x[2];  // one pixel inside
-  return fit;
-}
-
-/// Shift of the silhouette by golden section; sigma from the curvature of the cost, scaled by the residuals.
-ProfileFit fit_profile(const std::vector<Value>& values, double blur, double reach) {
-  ProfileFit fit;
-  double best = 0, best_cost = 1e300;
-  constexpr int n_steps = 12;
-  for (int i = -n_steps; i <= n_steps; ++i) {
-    const double shift = reach * i / n_steps, cost = fit_at(values, shift, blur).cost;
-    if (cost < best_cost) {
-      best = shift;
-      best_cost = cost;
-    }
-  }
-  if (std::abs(best) > 0.95 * reach) return fit;
-  double low = best - reach / n_steps, high = best + reach / n_steps;
-  constexpr double golden = 0.38196601125010515;
-  double p = low + golden * (high - low), q = high - golden * (high - low);
-  double cost_p = fit_at(values, p, blur).cost, cost_q = fit_at(values, q, blur).cost;
-  for (int i = 0; i < 24; ++i) {
-    if (cost_p < cost_q) {
-      high = q;
-      q = p;
-      cost_q = cost_p;
-      p = low + golden * (high - low);
-      cost_p = fit_at(values, p, blur).cost;
-    } else {
-      low = p;
-      p = q;
-      cost_p = cost_q;
-      q = high - golden * (high - low);
-      cost_q = fit_at(values, q, blur).cost;
-    }
-  }
-  fit.shift = 0.5 * (low + high);
-  constexpr double h = 0.05;
-  const LinearFit here = fit_at(values, fit.shift, blur);
-  const double curvature = (fit_at(values, fit.shift - h, blur).cost - 2 * here.cost + fit_at(values, fit.shift + h, blur).cost) / (h * h);
-  if (!(curvature > 0)) return fit;
-  const double reduced = std::max(1.0, here.cost / (static_cast<double>(values.size()) - 5));
-  fit.sigma = std::sqrt(2 * reduced / curvature);
-  fit.step = here.step;
-  fit.good = fit.sigma < 0.5 && fit.step > 0;
-  return fit;
+/// Where the silhouette crosses the ray from `centre` in the direction `outwards`, pixels from it; `start` is near it.
+double radius_along(const acquire::RigGeometry& rig, const glm::dvec2& centre, const glm::dvec2& outwards, double start) {
+  double radius = start;
+  for (int i = 0; i < 20; ++i) radius -= silhouette_distance(rig, centre + radius * outwards).value_or(0);
+  return radius;
 }
 
 }  // namespace
@@ -122,26 +31,32 @@ struct OutlineFinder::Implementation {
   acquire::RigGeometry nominal;
   OutlineOptions options;
   struct Pixel {
-    std::uint32_t index;  ///< of the value in the image
-    float distance;       ///< from the nominal silhouette
-    glm::vec2 at;
-    double sum = 0, variance = 0;
-    bool bad = false;
+    std::uint32_t index;    ///< of the value in the image
+    float distance;         ///< from the nominal silhouette; near enough for the coarse search
+    std::uint16_t x, y;
+    float sum, variance;    ///< variance < 0: not usable in one of the views
   };
   struct Arc {
-    glm::dvec3 normal{0.0};  ///< of the limb
-    glm::dvec2 outwards{0.0};  ///< in the image, unit
-    glm::dvec2 nominal_edge{0.0};
+    glm::dvec3 normal{0.0};    ///< of the limb
+    glm::dvec2 outwards{0.0};  ///< from the image of the sphere's centre, unit
+    double radius = 0;         ///< there, of the nominal silhouette
     std::vector<Pixel> pixels;
     std::size_t n_views = 0;
   };
   std::vector<Arc> arcs;
+  glm::dvec2 centre{0.0};      ///< nominal
   acquire::PixelLayout layout = acquire::PixelLayout::mono;
   bool started = false;
 
   void start(const RadianceImage& image);
-  acquire::RigGeometry fit_sphere(const std::vector<EdgePoint>& edges) const;
+  void place_arcs();
   std::vector<EdgePoint> coarse_edges() const;
+  std::vector<LimbValue> profile(const Arc& arc, const acquire::RigGeometry& geometry, double window) const;
+  struct ArcFit {
+    std::size_t arc;
+    LimbFit fit;
+  };
+  std::vector<ArcFit> fit_arcs(const std::vector<std::vector<LimbValue>>& profiles, const BlurredLimb& limb, double reach) const;
 };
 
 OutlineFinder::OutlineFinder(const acquire::RigGeometry& nominal, const OutlineOptions& options)
@@ -156,39 +71,53 @@ OutlineFinder::OutlineFinder(const acquire::RigGeometry& nominal, const OutlineO
 
 OutlineFinder::~OutlineFinder() = default;
 
+void OutlineFinder::Implementation::place_arcs() {
+  const glm::dvec3& sphere = nominal.cam_from_rig.translation;
+  const auto projected = nominal.camera.project(sphere);
+  if (!projected) throw Error(ErrorCode::input, "rig geometry: the camera does not see the sphere; expected a pose that looks at it");
+  centre = *projected;
+  const double radius = nominal.camera.focal.x * std::tan(std::asin(nominal.sphere_radius / glm::length(sphere)));
+  arcs.resize(static_cast<std::size_t>(std::max(24.0, 2 * pi * radius / options.arc_px)));
+  const glm::dmat3 rig_from_cam = glm::transpose(nominal.cam_from_rig.rotation);
+  for (std::size_t i = 0; i < arcs.size(); ++i) {
+    const double a = 2 * pi * (static_cast<double>(i) + 0.5) / static_cast<double>(arcs.size());
+    Arc& arc = arcs[i];
+    arc.outwards = {std::cos(a), std::sin(a)};
+    arc.radius = radius_along(nominal, centre, arc.outwards, radius);
+    const auto ray = nominal.camera.unproject(centre + arc.radius * arc.outwards);
+    // The line of sight touches the sphere where it comes nearest to the centre.
+    if (ray) arc.normal = rig_from_cam * glm::normalize(ray->direction * glm::dot(ray->direction, sphere) - sphere);
+  }
+}
+
 /// Assigns the pixels near the nominal silhouette to arcs.
 void OutlineFinder::Implementation::start(const RadianceImage& image) {
   started = true;
   layout = image.layout;
-  const auto centre = nominal.camera.project(nominal.cam_from_rig.translation);
-  const glm::dvec3 to_centre = glm::normalize(nominal.cam_from_rig.translation);
-  const double radius = nominal.camera.focal.x * std::tan(std::asin(nominal.sphere_radius / glm::length(nominal.cam_from_rig.translation)));
-  const auto n_arcs = static_cast<std::size_t>(std::max(24.0, 2 * pi * radius / options.arc_px));
-  arcs.resize(n_arcs);
-  const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(layout));
+  place_arcs();
+  double largest = 0;
+  for (const Arc& arc : arcs) largest = std::max(largest, arc.radius);
+  const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(layout)), n_arcs = arcs.size();
   const int green = acquire::n_channels(layout) == 3 ? 1 : 0;
+  const double band = options.search_px + 8;
   for (int y = 0; y < image.height; ++y)
     for (int x = 0; x < image.width; ++x) {
-      const glm::dvec2 offset = glm::dvec2(x, y) - *centre;
-      if (std::abs(glm::length(offset) - radius) > 1.5 * options.search_px + 0.1 * radius) continue;
-      const auto distance = silhouette_distance(nominal, {x, y});
-      if (!distance || std::abs(*distance) > options.search_px + 8) continue;
-      const double turn = std::atan2(offset.y, offset.x) / (2 * pi) + 1;
-      Arc& arc = arcs[static_cast<std::size_t>(turn * static_cast<double>(n_arcs)) % n_arcs];
+      const glm::dvec2 offset = glm::dvec2(x, y) - centre;
+      const double length = glm::length(offset);
+      if (length > largest + band) continue;
+      const double turn = (std::atan2(offset.y, offset.x) / (2 * pi) + 1) * static_cast<double>(n_arcs);
+      Arc& arc = arcs[static_cast<std::size_t>(turn) % n_arcs];
+      // Between the middles of two arcs.
+      const auto before = static_cast<std::size_t>(turn - 0.5 + static_cast<double>(n_arcs));
+      const double part = turn - 0.5 + static_cast<double>(n_arcs) - static_cast<double>(before);
+      const double distance = length - (1 - part) * arcs[before % n_arcs].radius - part * arcs[(before + 1) % n_arcs].radius;
+      if (std::abs(distance) > band) continue;
       for (std::size_t k = 0; k < per_pixel; ++k)
         if (acquire::channel_of(layout, x, y, static_cast<int>(k)) == green) {
           const std::size_t index = (static_cast<std::size_t>(y) * static_cast<std::size_t>(image.width) + static_cast<std::size_t>(x)) * per_pixel + k;
-          arc.pixels.push_back({static_cast<std::uint32_t>(index), static_cast<float>(*distance), glm::vec2(x, y)});
+          arc.pixels.push_back({static_cast<std::uint32_t>(index), static_cast<float>(distance), static_cast<std::uint16_t>(x), static_cast<std::uint16_t>(y), 0, 0});
         }
     }
-  const glm::dmat3 rig_from_cam = glm::transpose(nominal.cam_from_rig.rotation);
-  for (std::size_t i = 0; i < n_arcs; ++i) {
-    const double a = 2 * pi * (static_cast<double>(i) + 0.5) / static_cast<double>(n_arcs);
-    arcs[i].outwards = {std::cos(a), std::sin(a)};
-    arcs[i].nominal_edge = *centre + radius * arcs[i].outwards;
-    const glm::dvec3 side(arcs[i].outwards, 0);
-    arcs[i].normal = rig_from_cam * glm::normalize(side - to_centre * glm::dot(side, to_centre));
-  }
 }
 
 void OutlineFinder::add(const RadianceImage& image, const acquire::PlacedLight& light) {
@@ -196,20 +125,18 @@ void OutlineFinder::add(const RadianceImage& image, const acquire::PlacedLight& 
   if (!m.started) m.start(image);
   const glm::dvec3 to_camera = glm::transpose(m.nominal.cam_from_rig.rotation) * -glm::normalize(m.nominal.cam_from_rig.translation);
   if (glm::dot(light.direction, to_camera) < std::cos(m.options.max_light_angle)) return;
-  for (auto& arc : m.arcs) {
+  tbb::parallel_for(std::size_t{0}, m.arcs.size(), [&](std::size_t i) {
+    auto& arc = m.arcs[i];
     const glm::dvec3 wi = light.distant ? light.direction : glm::normalize(light.position - m.nominal.sphere_radius * arc.normal);
-    if (glm::dot(arc.normal, wi) < m.options.min_cosine) continue;
+    if (glm::dot(arc.normal, wi) < m.options.min_cosine) return;
     ++arc.n_views;
     for (auto& pixel : arc.pixels) {
       const PixelFlag flag = image.flags[pixel.index];
-      if (flag == PixelFlag::clipped || flag == PixelFlag::invalid) {
-        pixel.bad = true;
-        continue;
-      }
+      if (flag == PixelFlag::clipped || flag == PixelFlag::invalid) pixel.variance = -std::numeric_limits<float>::infinity();
       pixel.sum += image.radiance[pixel.index];
       pixel.variance += image.variance[pixel.index];
     }
-  }
+  });
 }
 
 /// The steepest ascent of each arc's mean profile, in steps of a pixel.
@@ -221,8 +148,8 @@ std::vector<EdgePoint> OutlineFinder::Implementation::coarse_edges() const {
     std::vector<double> sum(static_cast<std::size_t>(2 * half)), n(sum.size());
     for (const Pixel& p : arc.pixels) {
       const int bin = static_cast<int>(std::floor(p.distance)) + half;
-      if (p.bad || bin < 0 || bin >= 2 * half) continue;
-      sum[static_cast<std::size_t>(bin)] += p.sum;
+      if (!(p.variance >= 0) || bin < 0 || bin >= 2 * half) continue;
+      sum[static_cast<std::size_t>(bin)] += static_cast<double>(p.sum);
       n[static_cast<std::size_t>(bin)] += 1;
     }
     double steepest = 0;
@@ -248,13 +175,37 @@ std::vector<EdgePoint> OutlineFinder::Implementation::coarse_edges() const {
     if (rises.size() < 8) continue;
     std::nth_element(rises.begin(), rises.begin() + static_cast<std::ptrdiff_t>(rises.size() / 2), rises.end());
     if (steepest < 4 * rises[rises.size() / 2]) continue;
-    edges.push_back({arc.nominal_edge + arc.outwards * static_cast<double>(where - half), 0.7});
+    edges.push_back({centre + arc.outwards * (arc.radius + static_cast<double>(where - half)), 0.7});
   }
   return edges;
 }
 
-acquire::RigGeometry OutlineFinder::Implementation::fit_sphere(const std::vector<EdgePoint>& edges) const {
-  return solve_geometry(nominal, edges, {}).geometry;
+std::vector<LimbValue> OutlineFinder::Implementation::profile(const Arc& arc, const acquire::RigGeometry& geometry, double window) const {
+  std::vector<LimbValue> values;
+  // Where the silhouette is now, along this arc's ray: pixels further from it than the window need no exact distance.
+  const double moved = arc.radius - silhouette_distance(geometry, centre + arc.radius * arc.outwards).value_or(0);
+  double level = 0;
+  for (const Pixel& p : arc.pixels) {
+    if (!(p.variance > 0) || std::abs(static_cast<double>(p.distance) + arc.radius - moved) > window + 8) continue;
+    const auto distance = silhouette_distance(geometry, {p.x, p.y});
+    if (!distance || std::abs(*distance) > window) continue;
+    values.push_back({*distance, p.sum, p.variance});
+    level = std::max(level, static_cast<double>(p.sum));
+  }
+  // The profile is a model: nobody believes it to better than this fraction of the step.
+  for (LimbValue& v : values) v.variance += 1e-5 * level * level;
+  return values;
+}
+
+/// All arcs with enough values, in parallel; a fit that is not good is kept as such.
+std::vector<OutlineFinder::Implementation::ArcFit> OutlineFinder::Implementation::fit_arcs(const std::vector<std::vector<LimbValue>>& profiles,
+                                                                                         const BlurredLimb& limb, double reach) const {
+  std::vector<ArcFit> fits(arcs.size());
+  tbb::parallel_for(std::size_t{0}, arcs.size(), [&](std::size_t i) {
+    fits[i].arc = i;
+    if (profiles[i].size() >= 24) fits[i].fit = fit_limb(profiles[i], limb, reach);
+  });
+  return fits;
 }
 
 OutlineFinder::Outline OutlineFinder::finish() const {
@@ -262,40 +213,36 @@ OutlineFinder::Outline OutlineFinder::finish() const {
   Outline outline{.edges = {}, .geometry = m.nominal, .n_arcs = m.arcs.size()};
   for (const auto& arc : m.arcs) outline.n_dark += arc.n_views == 0;
   const std::vector<EdgePoint> coarse = m.coarse_edges();
-  if (coarse.size() < 8) {
+  if (coarse.size() >= 8) outline.geometry = solve_geometry(m.nominal, coarse, {}).geometry;
+  // Edges that do not lie on one sphere are those of something else, or of noise.
+  const auto n_near = std::count_if(coarse.begin(), coarse.end(), [&](const EdgePoint& e) {
+    return std::abs(silhouette_distance(outline.geometry, e.pixel).value_or(1e9)) < 3;
+  });
+  if (n_near < 8 || static_cast<double>(n_near) < 0.4 * static_cast<double>(coarse.size())) {
     outline.n_rejected = outline.n_arcs - outline.n_dark;
+    outline.geometry = m.nominal;
     return outline;
   }
-  outline.geometry = m.fit_sphere(coarse);
   const double blur = std::sqrt(m.options.lens_blur_px * m.options.lens_blur_px + 1.0 / 12), window = 5 + 4 * blur;
+  const BlurredLimb limb(blur, window + 3);
   for (int pass = 0; pass < 2; ++pass) {
+    std::vector<std::vector<LimbValue>> profiles(m.arcs.size());
+    tbb::parallel_for(std::size_t{0}, m.arcs.size(), [&](std::size_t i) {
+      if (m.arcs[i].n_views > 0) profiles[i] = m.profile(m.arcs[i], outline.geometry, window);
+    });
     std::vector<EdgePoint> edges;
-    for (const auto& arc : m.arcs) {
-      if (arc.n_views == 0) continue;
-      std::vector<Value> values;
-      double level = 0;
-      for (const auto& p : arc.pixels) {
-        if (p.bad || !(p.variance > 0)) continue;
-        const auto distance = silhouette_distance(outline.geometry, glm::dvec2(p.at));
-        if (!distance || std::abs(*distance) > window) continue;
-        values.push_back({*distance, p.sum, p.variance});
-        level = std::max(level, p.sum);
-      }
-      if (values.size() < 24) continue;
-      // The profile is a model: nobody believes it to better than this fraction of the step.
-      for (Value& v : values) v.variance += 1e-5 * level * level;
-      const ProfileFit fit = fit_profile(values, blur, pass == 0 ? 2.5 : 1.5);
+    for (const auto& [i, fit] : m.fit_arcs(profiles, limb, pass == 0 ? 2.5 : 1.5)) {
       if (!fit.good) continue;
-      const auto centre = outline.geometry.camera.project(outline.geometry.cam_from_rig.translation);
-      const glm::dvec2 outwards = arc.outwards;
-      // On the ray from the nominal centre: walk to the distance `shift`, which is along the normal of the silhouette.
-      glm::dvec2 pixel = *centre + outwards * glm::length(arc.nominal_edge - *centre);
-      for (int i = 0; i < 20; ++i) pixel -= outwards * (silhouette_distance(outline.geometry, pixel).value_or(0) - fit.shift);
-      edges.push_back({pixel, std::max(fit.sigma, 0.005)});
+      const auto& arc = m.arcs[i];
+      const double radius = radius_along(outline.geometry, m.centre, arc.outwards, arc.radius);
+      // The shift is along the normal of the silhouette, which on a ray from the centre is nearly the ray.
+      double along = radius + fit.shift;
+      for (int k = 0; k < 5; ++k) along -= silhouette_distance(outline.geometry, m.centre + along * arc.outwards).value_or(0) - fit.shift;
+      edges.push_back({m.centre + along * arc.outwards, std::max(fit.sigma, 0.005)});
     }
     outline.edges = std::move(edges);
     if (outline.edges.size() < 8) break;
-    outline.geometry = m.fit_sphere(outline.edges);
+    outline.geometry = solve_geometry(m.nominal, outline.edges, {}).geometry;
   }
   outline.n_rejected = outline.n_arcs - outline.n_dark - std::min(outline.edges.size(), outline.n_arcs - outline.n_dark);
   if (outline.edges.size() < 8) outline.edges.clear(), outline.geometry = m.nominal;
