@@ -73,8 +73,7 @@ SessionGeometry estimate_geometry(const std::string& name, const acquire::RigGeo
   return result;
 }
 
-SessionGeometry estimate_geometry(const acquire::Session& session, Calibration& calibration, const GeometryPriors& priors,
-                                  const HighlightOptions& highlight_options, const Progress& progress) {
+std::vector<GeometryView> geometry_views(const acquire::Session& session) {
   const acquire::RigDescription& rig = session.rig;
   std::vector<GeometryView> views;
   for (const std::size_t i : session.views_of(acquire::ViewKind::measurement)) {
@@ -87,7 +86,12 @@ SessionGeometry estimate_geometry(const acquire::Session& session, Calibration& 
                        return image;
                      }});
   }
-  return estimate_geometry(session.folder.string(), rig.geometry, views, calibration, priors, highlight_options, progress);
+  return views;
+}
+
+SessionGeometry estimate_geometry(const acquire::Session& session, Calibration& calibration, const GeometryPriors& priors,
+                                  const HighlightOptions& highlight_options, const Progress& progress) {
+  return estimate_geometry(session.folder.string(), session.rig.geometry, geometry_views(session), calibration, priors, highlight_options, progress);
 }
 
 }  // namespace lacquer::calib

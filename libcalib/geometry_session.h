@@ -40,6 +40,9 @@ SessionGeometry estimate_geometry(const std::string& name, const acquire::RigGeo
                                   Calibration& calibration, const GeometryPriors& priors, const HighlightOptions& highlight_options,
                                   const Progress& progress);
 
+/// The measurement views of a session; read() throws Error{file} where an image is missing or not as the rig's camera. Refers to `session`.
+std::vector<GeometryView> geometry_views(const acquire::Session& session);
+
 /// The same from the radiance images of a session. Throws Error{file} where one is missing or not as the rig's camera.
 SessionGeometry estimate_geometry(const acquire::Session& session, Calibration& calibration, const GeometryPriors& priors,
                                   const HighlightOptions& highlight_options, const Progress& progress);

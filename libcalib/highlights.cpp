@@ -16,6 +16,8 @@ namespace {
 constexpr double pi = 3.14159265358979323846;
 constexpr double reach = 2.9;        // of the fit's window, sigmas
 constexpr double inner_reach = 1.9;  // of a second fit: a lobe that is not symmetric has another centre there
+constexpr double max_asymmetry = 0.25;
+constexpr double max_elongation = 0.5, usual_elongation = 0.01;  // of the lobe's variance
 
 double determinant_of_slope(const ExpectedHighlight& e) { return std::abs(glm::determinant(e.slope_per_pixel)); }
 
@@ -100,10 +102,18 @@ HighlightResult find_highlight(const RadianceImage& image, const Calibration& ca
   const LobeFit inner = fit_lobe(window.values, *expected, {fit.shift, std::exp(fit.log_width2), inner_reach, calibration.lens_blur_px});
   const glm::dvec2 pull = inner.good ? inner.shift - fit.shift : glm::dvec2(0.0);
   result.asymmetry = glm::length(pull) / sigma_px;
+  result.elongation = fit.elongation;
+  if (result.asymmetry > max_asymmetry || result.elongation > max_elongation) return reject(HighlightFate::two_peaks);
+  // Less of it, but more than noise explains, is an error of the centre that the residuals do not tell: a lobe merged with a weak rival is
+  // pulled by about its elongation.
+  const double squared = glm::dot(pull, pull), by_noise = 4 * (inner.covariance[0][0] + inner.covariance[1][1]);
+  const double stretched = std::max(0.0, fit.elongation - usual_elongation) * sigma_px;
+  const glm::dmat2 covariance =
+      fit.covariance + (squared > by_noise ? (1 - by_noise / squared) * glm::outerProduct(pull, pull) : glm::dmat2(0.0)) + glm::dmat2(stretched * stretched);
   result.left_out = fit.left_out;
   result.fate = HighlightFate::found;
   const double least = 1e-6;  // (0.001 px)^2
-  result.highlight = {"", light, turntable_angle, centre, fit.covariance[0][0] + least, fit.covariance[0][1], fit.covariance[1][1] + least};
+  result.highlight = {"", light, turntable_angle, centre, covariance[0][0] + least, covariance[0][1], covariance[1][1] + least};
   return result;
 }
 

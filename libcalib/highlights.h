@@ -27,6 +27,7 @@ struct HighlightResult {
   double width_rad = 0;  ///< 1/e radius, slope of the half vector
   double contrast = 0;
   double asymmetry = 0;  ///< by how much the centre moves when the flanks are left out, sigmas of the lobe
+  double elongation = 0; ///< by which it is longer than a lobe, share of its variance
   double left_out = 0;   ///< share of the lobe that the fit does not believe
 };
 

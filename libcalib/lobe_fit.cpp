@@ -19,6 +19,7 @@ struct Lobe {
   double value;
   glm::dvec2 by_shift;
   double by_log_width2;
+  glm::dmat2 by_covariance;  ///< of the slope
 };
 
 /// exp(-s' C^-1 s / 2) with C = width2/2 + lens + emitter, averaged over the pixel. The shift displaces the whole highlight: s - J shift.
@@ -41,8 +42,10 @@ class LobeShape {
     constexpr double least_px = 0.8;
     window_ = glm::inverse(c + (seen_ + least_px * least_px) * j_ * glm::transpose(j_));
     const glm::dmat2 back = glm::inverse(j_);
+    size_ = (c[0][0] + c[1][1]) / 2;
     spread_px_ = back * (c + seen_ * j_ * glm::transpose(j_)) * glm::transpose(back);
   }
+  double size() const { return size_; }  ///< mean variance of the slope
   const glm::dmat2& spread_px() const { return spread_px_; }
   /// Squared distance from the centre in sigmas.
   double distance2(const HighlightValue& v, const glm::dvec2& shift) const {
@@ -51,17 +54,17 @@ class LobeShape {
   }
   Lobe at(const HighlightValue& v, const glm::dvec2& shift) const {
     const glm::dvec2 centre = v.slope - j_ * shift;
-    Lobe lobe{0, glm::dvec2(0.0), 0};
+    Lobe lobe{0, glm::dvec2(0.0), 0, glm::dmat2(0.0)};
     glm::dvec2 gradient(0.0);
     for (const Node& node : nodes_) {
       const glm::dvec2 s = centre + node.slope, p = inverse_ * s;
       const double value = node.weight * std::exp(-0.5 * glm::dot(s, p));
       lobe.value += value;
       gradient += value * p;
-      lobe.by_log_width2 += value * glm::dot(p, p);
+      lobe.by_covariance += 0.5 * value * glm::outerProduct(p, p);
     }
     lobe.by_shift = glm::transpose(j_) * gradient;
-    lobe.by_log_width2 *= width2_ / 4;
+    lobe.by_log_width2 = width2_ / 2 * (lobe.by_covariance[0][0] + lobe.by_covariance[1][1]);
     return lobe;
   }
 
@@ -72,7 +75,7 @@ class LobeShape {
   };
   glm::dmat2 j_, fixed_, inverse_{1.0}, window_{1.0}, spread_px_{1.0};
   std::vector<Node> nodes_;
-  double width2_ = 0, seen_ = 0;
+  double width2_ = 0, seen_ = 0, size_ = 0;
 };
 
 /// Normal equations of one iteration, and what the covariance needs.
@@ -166,11 +169,11 @@ class LobeSolver {
       const double doubt = 0.03 * std::max(std::abs(expected), std::abs(height * v.mirror) * 0.1);
       const double variance = v.variance + doubt * doubt + 1e-300, z = std::abs(r) / std::sqrt(variance);
       // Falls to 0 at the window's edge, so that no pixel enters or leaves with a jump.
-      const double inside = 1 - distance2 / reach2_, plain = inside * inside / variance, u = z / scale_, trust = 1 / ((1 + u * u) * (1 + u * u));
+      const double inside = 1 - distance2 / reach2_, plain = inside * inside / variance, trusted = plain * trust(z);
       e.standardised.push_back(z);
       e.all += plain * d[4] * d[4];
-      e.trusted += plain * trust * d[4] * d[4];
-      add(e, d, own, plain * trust, r, v.variance);
+      e.trusted += trusted * d[4] * d[4];
+      add(e, d, own, trusted, r, v.variance);
     }
   }
 
@@ -212,8 +215,37 @@ class LobeSolver {
     fit_.n = e.n;
     fit_.n_clipped = e.n_clipped;
     fit_.left_out = e.all > 0 ? 1 - e.trusted / e.all : 1;
+    fit_.elongation = elongation();
     fit_.spread_px = shape_.spread_px();
     fit_.good = length < 0.02 && c(0, 0) > 0 && c(1, 1) > 0;
+  }
+
+  /// Weight of a standardised residual: next to nothing far beyond the usual ones.
+  double trust(double z) const {
+    const double u = z / scale_;
+    return 1 / ((1 + u * u) * (1 + u * u));
+  }
+
+  /// Stretch that the residuals ask for, as a share of the lobe's variance: covariance * (1 + [a b; b -a]).
+  double elongation() const {
+    double aa = 0, ab = 0, bb = 0, ar = 0, br = 0;
+    for (const HighlightValue& v : values_) {
+      const double distance2 = shape_.distance2(v, fit_.shift);
+      if (v.flag == PixelFlag::invalid || v.flag == PixelFlag::clipped || distance2 > reach2_) continue;
+      const std::size_t own = n_own * static_cast<std::size_t>(slot_[v.channel]);
+      const double scale = level_[own + 1] * v.mirror, doubt = 0.03 * std::abs(scale), inside = 1 - distance2 / reach2_;
+      const Lobe lobe = shape_.at(v, fit_.shift);
+      const double variance = v.variance + doubt * doubt + 1e-300, r = v.radiance - level_[own] * v.diffuse - scale * lobe.value;
+      const double weight = inside * inside / variance * trust(std::abs(r) / std::sqrt(variance));
+      const double a = scale * shape_.size() * (lobe.by_covariance[0][0] - lobe.by_covariance[1][1]), b = scale * shape_.size() * 2 * lobe.by_covariance[0][1];
+      aa += weight * a * a;
+      ab += weight * a * b;
+      bb += weight * b * b;
+      ar += weight * a * r;
+      br += weight * b * r;
+    }
+    const double determinant = aa * bb - ab * ab;
+    return determinant > 0 ? std::hypot(bb * ar - ab * br, aa * br - ab * ar) / determinant : 0;
   }
 
   const std::vector<HighlightValue>& values_;

@@ -26,6 +26,7 @@ struct LobeFit {
   glm::dmat2 spread_px{1.0};     ///< covariance of the lobe as it is seen, pixels^2
   std::size_t n = 0, n_clipped = 0;
   double left_out = 0;           ///< share of the window that the fit does not believe: dust, another lamp
+  double elongation = 0;         ///< by which it is longer than it is wide, share of its variance: two lobes that have merged
   bool good = false;
 };
 

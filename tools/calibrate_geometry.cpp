@@ -3,11 +3,13 @@
 #include <fmt/format.h>
 
 #include <filesystem>
+#include <map>
 #include <memory>
 
 #include "libacquire/session.h"
 #include "libacquire/sim/simulated_world.h"
 #include "libcalib/calibration.h"
+#include "libcalib/distant_lights.h"
 #include "libcalib/geometry_difference.h"
 #include "libcalib/geometry_session.h"
 #include "libcalib/merge_session.h"
@@ -48,6 +50,26 @@ void print_difference(const char* name, const acquire::RigGeometry& geometry, do
   const calib::GeometryDifference d = calib::geometry_difference(geometry, truth, views);
   fmt::print("  {:<10} half vector {:8.4f} deg   light {:8.4f} deg   distance {:6.3f} %   sphere centre {:7.3f} px\n", name, d.half_vector_rad / degree,
              d.light_rad / degree, 100 * d.distance, d.centre_px);
+}
+
+void print_distant_lights(const calib::DistantLights& d) {
+  fmt::print("silhouette: {} of {} arcs, rms {:.3f} px: centre {:.2f} {:.2f} px, radius {:.2f} px\n", d.sphere.n_edges, d.n_arcs, d.sphere.edge_rms_px, d.centre_px.x,
+             d.centre_px.y, d.radius_px);
+  std::map<calib::HighlightFate, std::vector<std::string>> rejected;
+  std::size_t n_found = 0;
+  for (const calib::DistantLight& light : d.lights) {
+    if (light.fate == calib::HighlightFate::found) ++n_found;
+    else rejected[light.fate].push_back(light.view);
+  }
+  fmt::print("highlights: {} of {} views; directions against the rig file's: {:.2f} deg median, {:.2f} deg largest\n", n_found, d.lights.size(), d.median_off_rad / degree,
+             d.largest_off_rad / degree);
+  for (const auto& [fate, views] : rejected) fmt::print("  no highlight in {}: {}\n", names(views), describe(fate));
+  if (!d.joint.solved) return;
+  const calib::JointDirections& j = d.joint;
+  fmt::print("jointly: given directions turned by {:+.2f} {:+.2f} {:+.2f} deg (+- {:.2f} {:.2f} {:.2f}) and the outline moved by {:+.2f} {:+.2f} px (+- {:.2f} {:.2f}), its radius "
+             "by {:+.2f} px (+- {:.2f}), leave {:.2f} deg median\n",
+             j.turn.x / degree, j.turn.y / degree, j.turn.z / degree, j.turn_sigma.x / degree, j.turn_sigma.y / degree, j.turn_sigma.z / degree, j.shift_px.x, j.shift_px.y,
+             j.shift_sigma_px.x, j.shift_sigma_px.y, j.radius_px, j.radius_sigma_px, j.median_off_rad / degree);
 }
 
 }  // namespace
@@ -92,6 +114,8 @@ void add_calibrate_geometry(CLI::App& calibrate, Context& context) {
       calibration.geometry_source = "rig file";
       calibration.geometry_uncertainty = {};
       calibration.turntable_scale = 1;
+    } else if (calib::all_lights_distant(session.rig.geometry)) {
+      print_distant_lights(calib::find_distant_lights(session.folder.string(), session.rig.geometry, calib::geometry_views(session), calibration, {}, stderr_progress(context)));
     } else {
       print_geometry(calib::estimate_geometry(session, calibration, {}, {}, stderr_progress(context)), session);
     }

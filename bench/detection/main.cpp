@@ -115,7 +115,27 @@ struct Case {
   std::shared_ptr<const brdf::Brdf> paint;
   double angle_deg = 40;
   std::function<void(acquire::RigDescription&)> change = {};
+  /// On the light before it reaches the sensor; `highlight`: pixel of the window.
+  std::function<void(acquire::sim::RadianceImage&, const RenderedRig&, const glm::dvec2& highlight)> scene = {};
 };
+
+/// A second lamp, `share` as bright, where the arm would be `off_deg` further.
+auto rival(double share, double off_deg) {
+  return [=](acquire::sim::RadianceImage& image, const RenderedRig& rendered, const glm::dvec2&) {
+    const auto other = rendered.render(0, (40 + off_deg) * degree);
+    for (std::size_t i = 0; i < image.data.size(); ++i) image.data[i] += static_cast<float>(share) * other.data[i];
+  };
+}
+
+/// A speck that lets a tenth of the light through, `off_px` to the right of the highlight.
+auto dust(double radius_px, double off_px) {
+  return [=](acquire::sim::RadianceImage& image, const RenderedRig&, const glm::dvec2& highlight) {
+    for (int c = 0; c < image.n_channels; ++c)
+      for (int y = 0; y < image.height; ++y)
+        for (int x = 0; x < image.width; ++x)
+          if (glm::length(glm::dvec2(x, y) - highlight - glm::dvec2(off_px, 0)) < radius_px) image.at(c, x, y) *= 0.1f;
+  };
+}
 
 std::vector<Case> cases() {
   const auto polaris = paint("polaris-silber");
@@ -144,13 +164,16 @@ std::vector<Case> cases() {
                     r.geometry.camera.focal *= 0.15;
                     r.geometry.camera.distortion = {};
                   }});
+  for (const double off : {16.0, 8.0, 5.0, 3.0, 1.5})
+    for (const double share : {0.9, 0.1}) list.push_back({fmt::format("rival of {:g} %, {:g} deg off", 100 * share, off), polaris, 40, {}, rival(share, off)});
+  for (const double off : {10.0, 5.0, 2.0}) list.push_back({fmt::format("dust of 3 px, {:g} px off", off), polaris, 40, {}, dust(1.5, off)});
   return list;
 }
 
 /// A window about the highlight, photographed with many seeds.
 void centroids(int seeds, const std::string& filter) {
   fmt::print("\nCentroids over {} seeds, 1360 x 1024, geometry known. Pixels; pull: error over stated sigma\n", seeds);
-  fmt::print("{:<28} {:>6} {:>19} {:>8} {:>8} {:>10} {:>10} {:>9}   {}\n", "case", "found", "bias x, y", "scatter", "sigma", "pull rms", "bias deg", "asymmetry", "else");
+  fmt::print("{:<28} {:>6} {:>19} {:>8} {:>8} {:>10} {:>10} {:>9} {:>9}   {}\n", "case", "found", "bias x, y", "scatter", "sigma", "pull rms", "bias deg", "asymmetry", "longer by", "else");
   for (const Case& c : cases()) {
     if (!filter.empty() && c.name.find(filter) == std::string::npos) continue;
     acquire::RigDescription whole = acquire::read_rig(source("rigs/simulated-paper.toml"));
@@ -159,10 +182,11 @@ void centroids(int seeds, const std::string& filter) {
     constexpr int half = 70;
     const glm::ivec2 corner = 2 * (glm::ivec2(expected) / 2) - half;
     const RenderedRig rendered(test::windowed(whole, corner, glm::ivec2(2 * half)), c.paint);
-    const auto light = rendered.render(0, c.angle_deg * degree);
+    auto light = rendered.render(0, c.angle_deg * degree);
     const glm::dvec2 truth = expected - glm::dvec2(corner);
+    if (c.scene) c.scene(light, rendered, truth);
     glm::dvec2 sum(0.0), squares(0.0), sigma2(0.0);
-    double pulls = 0, n = 0, asymmetry = 0;
+    double pulls = 0, n = 0, asymmetry = 0, elongation = 0;
     std::map<calib::HighlightFate, int> others;
     for (int seed = 1; seed <= seeds; ++seed) {
       const auto image = rendered.photograph(light, whole.plan.front().exposures_s, static_cast<std::uint64_t>(seed));
@@ -178,6 +202,7 @@ void centroids(int seeds, const std::string& filter) {
       sigma2 += glm::dvec2(found.highlight.xx, found.highlight.yy);
       pulls += glm::dot(d, glm::inverse(covariance) * d) / 2;
       asymmetry += found.asymmetry;
+      elongation += found.elongation;
       ++n;
     }
     std::string rest;
@@ -188,9 +213,9 @@ void centroids(int seeds, const std::string& filter) {
     }
     const glm::dvec2 bias = sum / n, variance = squares / n - bias * bias;
     const auto a = acquire::trace(rendered.rig().geometry, truth), b = acquire::trace(rendered.rig().geometry, truth + bias);
-    fmt::print("{:<28} {:>6} {:>+9.4f} {:>+9.4f} {:>8.4f} {:>8.4f} {:>10.2f} {:>10.5f} {:>9.4f}   {}\n", c.name, n, bias.x, bias.y,
+    fmt::print("{:<28} {:>6} {:>+9.4f} {:>+9.4f} {:>8.4f} {:>8.4f} {:>10.2f} {:>10.5f} {:>9.4f} {:>9.4f}   {}\n", c.name, n, bias.x, bias.y,
                std::sqrt(std::max(0.0, variance.x + variance.y) / 2), std::sqrt((sigma2.x + sigma2.y) / (2 * n)), std::sqrt(pulls / n),
-               glm::length(glm::cross(a->normal, b->normal)) / degree, asymmetry / n, rest);
+               glm::length(glm::cross(a->normal, b->normal)) / degree, asymmetry / n, elongation / n, rest);
   }
 }
 

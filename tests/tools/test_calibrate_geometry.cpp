@@ -95,4 +95,18 @@ TEST(CalibrateGeometry, ASessionThatIsNotMergedIsRefusedByFile) {
   EXPECT_NE(result.err.find("L000.exr"), std::string::npos) << result.err;
 }
 
+TEST(CalibrateGeometry, DirectionsFromTheBallsHighlightsAreThePublishedOnes) {
+  LACQUER_NEEDS_SHARED_DATA("spheres/diligent-ball");
+  const TemporaryFolder folder;
+  const std::string session = (folder / "s").string();
+  ASSERT_EQ(run_lacquer("-q capture " + (lacquer::test::source_dir() / "rigs/diligent-ball.toml").string() + " --data " +
+                        (lacquer::test::shared_data() / "spheres/diligent-ball").string() + " -o " + session).exit_code, 0);
+  ASSERT_EQ(run_lacquer("-q merge " + session).exit_code, 0);
+  const auto result = run_lacquer("-q calibrate geometry " + session);
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  std::smatch directions;
+  ASSERT_TRUE(std::regex_search(result.out, directions, std::regex("rig file's: ([0-9.]+) deg median")));
+  EXPECT_LT(std::stod(directions[1]), 0.65) << result.out;
+}
+
 }  // namespace
