@@ -162,7 +162,7 @@ std::string html_page(const std::string& title, const std::string& introduction,
                       introduction);
   html += "<nav aria-label=Contents><ul>";
   for (const auto& section : sections) html += fmt::format("<li><a href=\"#{}\">{}</a></li>", section.id, html_escaped(section.title));
-  html += "</ul></nav>\n<main id=main>\n";
+  html += "</ul></nav>\n<main id=\"main\">\n";
   for (const auto& section : sections) html += html_section(section.id, section.title, section.body);
   return html + "</main>\n" + script + "</body></html>\n";
 }
