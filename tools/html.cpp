@@ -36,7 +36,7 @@ figcaption { font-size: .88rem; color: var(--soft); } img, svg { max-width: 100%
 svg { color: var(--ink); } svg image, img.pixels { image-rendering: pixelated; }
 .scroll { overflow-x: auto; max-width: 100%; } table { border-collapse: collapse; font-size: .9rem; margin: .8rem 0; font-variant-numeric: tabular-nums; }
 caption { text-align: left; color: var(--soft); padding-bottom: .3rem; } th, td { padding: .15rem .7rem; border-bottom: 1px solid var(--line); text-align: left; }
-.number { text-align: right; white-space: nowrap; } th { font-weight: 600; } output { display: block; min-height: 1.4em; font-size: .88rem; }
+.number { text-align: right; white-space: nowrap; } th { font-weight: 600; } td { min-width: 4rem; } output { display: block; min-height: 1.4em; font-size: .88rem; }
 @media print { body { max-width: none; font-size: 10pt; } nav, .skip, output { display: none; } figure, table { break-inside: avoid; } details > * { display: block; } }
 </style>)";
 

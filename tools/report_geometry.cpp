@@ -47,9 +47,9 @@ std::string to_scale(const ReportSession& s, const Drawing& d, std::size_t h, st
   const glm::dvec3 axis_from = 1e3 * (g.axis_point - 2.0 * g.sphere_radius * g.axis_direction), axis_to = 1e3 * (g.axis_point + 2.0 * g.sphere_radius * g.axis_direction);
   std::string script = plot_data("sphere", circle) + plot_data("lights", {d.lights[h], d.lights[v]}) +
                        plot_data("axis", {{axis_from[static_cast<int>(h)], axis_to[static_cast<int>(h)]}, {axis_from[static_cast<int>(v)], axis_to[static_cast<int>(v)]}});
-  script += fmt::format("set size ratio -1\nset offsets graph 0.05, graph 0.05, graph 0.05, graph 0.05\nset xlabel '{} / mm'\nset ylabel '{} / mm'\nset key outside top horizontal\n", axes[h], axes[v]);
+  script += fmt::format("set size ratio -1\nset ytics 200\nset offsets graph 0.05, graph 0.05, graph 0.05, graph 0.05\nset xlabel '{} / mm'\nset ylabel '{} / mm'\nset key outside top horizontal\n", axes[h], axes[v]);
   std::string plot = "plot $sphere using 1:2 with lines lc rgb black title 'sphere', $lights using 1:2 with points pt 7 ps 0.45 lc rgb orange title 'lights, every view'";
-  if (h != 0 || v != 2) plot += ", $axis using 1:2 with lines dt 2 lc rgb green title 'turntable axis'";
+  if (v == 1) plot += ", $axis using 1:2 with lines dt 2 lc rgb green title 'turntable axis'";
   if (pinhole) {
     script += plot_data("camera", {{d.camera[static_cast<int>(h)]}, {d.camera[static_cast<int>(v)]}}) +
               plot_data("sight", {{d.camera[static_cast<int>(h)], 0}, {d.camera[static_cast<int>(v)], 0}});
@@ -127,11 +127,11 @@ std::string parameters(const calib::Calibration& c) {
 HtmlSection geometry_section(const ReportSession& s) {
   const Drawing d = drawing_of(s);
   const acquire::RigGeometry& g = s.calibration->geometry;
-  std::string html = fmt::format("<p>Geometry: {}. Sphere of {:.3f} mm radius; {} camera; turntable scale {:.6g}. Scale: {}.</p>\n", html_escaped(s.calibration->geometry_source), 1e3 * g.sphere_radius,
-                                 g.camera.projection == acquire::CameraModel::Projection::pinhole ? fmt::format("pinhole, focal length {:.1f} px,", g.camera.focal.x) : "distant (orthographic)",
+  std::string html = fmt::format("<p>Geometry: {}. Sphere of {:.3f} mm radius; camera: {}; turntable scale {:.6g}. Scale: {}.</p>\n", html_escaped(s.calibration->geometry_source), 1e3 * g.sphere_radius,
+                                 g.camera.projection == acquire::CameraModel::Projection::pinhole ? fmt::format("pinhole, focal length {:.1f} px", g.camera.focal.x) : "distant (orthographic)",
                                  s.calibration->turntable_scale, html_escaped(s.calibration->scale_source));
   const std::string note = d.distant ? " The lights are distant: drawn at four radii." : "";
-  html += "<div class=row>" + to_scale(s, d, 0, 2, "top-", "Seen along the turntable's axis (from above), to scale." + note) +
+  html += "<div class=row>" + to_scale(s, d, 2, 0, "top-", "Seen along the turntable's axis (from above), to scale." + note) +
           to_scale(s, d, 2, 1, "side-", "Seen from the side, to scale." + note) + "</div>\n" + highlight_figures(s) + parameters(*s.calibration);
   return {"geometry", "Geometry", html};
 }

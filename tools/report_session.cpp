@@ -87,9 +87,9 @@ std::string thumbnails(const ReportSession& s) {
     shown = reduced(shown, std::max(1, shown.width / 200));
     const double factor = 0.8 * exposure_for(shown);
     const auto clipped = static_cast<double>(std::count(image.flags.begin(), image.flags.end(), calib::PixelFlag::clipped));
-    html += fmt::format("<figure class=small>{}<figcaption>{}: turntable {:.1f}°, {}, {} exposures; {:.3g} % clipped in all of them</figcaption></figure>\n",
+    html += fmt::format("<figure class=small>{}<figcaption>{}: turntable {:.1f}°, {}, {} exposure{}; {:.3g} % clipped in each of them</figcaption></figure>\n",
                         html_image(png_of(exposed(std::move(shown), factor)), "Photograph " + view.id), html_escaped(view.id), view.turntable_angle / degree,
-                        html_escaped(light_name(s, view)), view.frames.size(), 100 * clipped / static_cast<double>(image.flags.size()));
+                        html_escaped(light_name(s, view)), view.frames.size(), view.frames.size() == 1 ? "" : "s", 100 * clipped / static_cast<double>(image.flags.size()));
   }
   return html.empty() ? "" : "<h3>Views</h3>\n<div class=row>" + html + "</div>\n";
 }
