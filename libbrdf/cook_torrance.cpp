@@ -10,7 +10,7 @@ template <typename T>
 glm::vec<3, T> sum_of_lobes(const CookTorrance& model, const HalfAngleCosines<T>& c) {
   glm::vec<3, T> f = glm::vec<3, T>(model.kd) * std::numbers::inv_pi_v<T>;
   for (const auto& lobe : model.lobes) {
-    const CookTorranceLobe<T> shape{static_cast<T>(lobe.m), static_cast<T>(lobe.r)};
+    const CookTorranceLobe<T> shape{static_cast<T>(lobe.m), static_cast<T>(lobe.r), lobe.distribution, lobe.fresnel};
     f += glm::vec<3, T>(lobe.ks) * shape(c);
   }
   return f;
@@ -39,7 +39,7 @@ glm::dvec3 CookTorrance::log_value(const HalfAngleCosines<double>& c) const {
   };
   for (int channel = 0; channel < 3; ++channel) add(channel, std::log(kd[channel] * std::numbers::inv_pi));
   for (const auto& lobe : lobes) {
-    const double log_lobe = CookTorranceLobe<double>{lobe.m, lobe.r}.log_value(c);
+    const double log_lobe = lobe.shape().log_value(c);
     for (int channel = 0; channel < 3; ++channel) add(channel, std::log(lobe.ks[channel]) + log_lobe);
   }
   return peak + glm::dvec3(std::log(sum.x), std::log(sum.y), std::log(sum.z));

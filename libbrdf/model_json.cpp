@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <array>
 #include <cmath>
 #include <nlohmann/json.hpp>
 
@@ -16,6 +17,7 @@ constexpr std::uint64_t max_text_bytes = 64u << 20;
 constexpr int max_depth = 64;       // a fit.json has 5
 constexpr std::size_t max_lobes = 16;
 constexpr double min_m = 1e-6;      // below, 1/m^2 overflows float; a hundred times narrower than any lobe a camera can see
+constexpr double max_dielectric_r = 0.99;  // an index of refraction of 400: beyond any, and the formula stays finite
 constexpr double max_color = 1e6;   // kd, ks: keeps f_r finite in float
 
 /// Numbers of the file, with the name of the field in every complaint.
@@ -58,10 +60,24 @@ class ModelReader {
     if (lobe.m < min_m) fail(field + ".m", fmt::format("expected at least {}, got {}", min_m, lobe.m));
     lobe.r = number(member(value, field, "r"), field + ".r", "a number in [0, 1]");
     if (!(lobe.r >= 0 && lobe.r <= 1)) fail(field + ".r", fmt::format("expected a number in [0, 1], got {}", lobe.r));
+    lobe.distribution = choice<Distribution>(value, field, "distribution", {"beckmann", "ggx"});
+    lobe.fresnel = choice<Fresnel>(value, field, "fresnel", {"schlick", "dielectric"});
+    if (lobe.fresnel == Fresnel::dielectric && lobe.r > max_dielectric_r)
+      fail(field + ".r", fmt::format("expected at most {} where fresnel is \"dielectric\", got {}", max_dielectric_r, lobe.r));
     return lobe;
   }
 
  private:
+  /// Member `key`, which may be missing, as the enumerator of its name; the first one is the default.
+  template <typename Enum>
+  Enum choice(const Json& object, const std::string& field, const char* key, const std::array<const char*, 2>& names) const {
+    const auto found = object.find(key);
+    if (found == object.end()) return Enum{};
+    for (std::size_t i = 0; i < names.size(); ++i)
+      if (found->is_string() && *found == names[i]) return static_cast<Enum>(i);
+    fail(fmt::format("{}.{}", field, key), fmt::format("expected \"{}\" or \"{}\", got {}", names[0], names[1], printable(found->dump(-1, ' ', true, Json::error_handler_t::replace), 40)));
+  }
+
   std::string name_;
 };
 
@@ -109,7 +125,9 @@ CookTorrance read_model(const std::filesystem::path& file) {
 std::string model_to_json(const CookTorrance& model) {
   std::string lobes;
   for (const auto& lobe : model.lobes)
-    lobes += fmt::format("{}{{\"ks\": {}, \"m\": {}, \"r\": {}}}", lobes.empty() ? "" : ", ", color_text(lobe.ks), lobe.m, lobe.r);
+    lobes += fmt::format("{}{{\"ks\": {}, \"m\": {}, \"r\": {}{}{}}}", lobes.empty() ? "" : ", ", color_text(lobe.ks), lobe.m, lobe.r,
+                         lobe.distribution == Distribution::ggx ? ", \"distribution\": \"ggx\"" : "",
+                         lobe.fresnel == Fresnel::dielectric ? ", \"fresnel\": \"dielectric\"" : "");
   return fmt::format("{{\"kd\": {}, \"lobes\": [{}]}}", color_text(model.kd), lobes);
 }
 

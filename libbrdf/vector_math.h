@@ -42,14 +42,14 @@ LACQUER_ALWAYS_INLINE void store(Scalar* to, Vector v) {
 LACQUER_ALWAYS_INLINE Double4 load_as_double(const float* from) { return __builtin_convertvector(load<Float4>(from), Double4); }
 
 /// `mask`: result of a comparison, all bits of a lane set or none.
-LACQUER_ALWAYS_INLINE Double4 select(Int64x4 mask, Double4 yes, Double4 no) { return (Double4)(((Int64x4)yes & mask) | ((Int64x4)no & ~mask)); }
-LACQUER_ALWAYS_INLINE Float8 select(Int32x8 mask, Float8 yes, Float8 no) { return (Float8)(((Int32x8)yes & mask) | ((Int32x8)no & ~mask)); }
+LACQUER_ALWAYS_INLINE Double4 select(Int64x4 mask, Double4 yes, Double4 no) { return mask ? yes : no; }
+LACQUER_ALWAYS_INLINE Float8 select(Int32x8 mask, Float8 yes, Float8 no) { return mask ? yes : no; }
 LACQUER_ALWAYS_INLINE bool any(Int64x4 mask) { return ((mask[0] | mask[1]) | (mask[2] | mask[3])) != 0; }
 LACQUER_ALWAYS_INLINE Double4 absolute(Double4 x) { return (Double4)((UInt64x4)x & 0x7fffffffffffffffu); }
-LACQUER_ALWAYS_INLINE Double4 minimum(Double4 a, Double4 b) { return select(a < b, a, b); }
-LACQUER_ALWAYS_INLINE Double4 maximum(Double4 a, Double4 b) { return select(a > b, a, b); }
-LACQUER_ALWAYS_INLINE Float8 minimum(Float8 a, Float8 b) { return select(a < b, a, b); }
-LACQUER_ALWAYS_INLINE Float8 maximum(Float8 a, Float8 b) { return select(a > b, a, b); }
+LACQUER_ALWAYS_INLINE Double4 minimum(Double4 a, Double4 b) { return a < b ? a : b; }
+LACQUER_ALWAYS_INLINE Double4 maximum(Double4 a, Double4 b) { return a > b ? a : b; }
+LACQUER_ALWAYS_INLINE Float8 minimum(Float8 a, Float8 b) { return a < b ? a : b; }
+LACQUER_ALWAYS_INLINE Float8 maximum(Float8 a, Float8 b) { return a > b ? a : b; }
 
 /// Sum of the lanes, always in this order.
 LACQUER_ALWAYS_INLINE double sum_of_lanes(Double4 x) { return (x[0] + x[1]) + (x[2] + x[3]); }

@@ -205,7 +205,7 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   if (options.n_lobes) {
     trials = {{structures.back(), refined.model, refined.solution}};
   } else {
-    Selection selection(subset, all, objective_options, refinement(options, compared));
+    Selection selection(subset, all, objective_options, refinement(options, compared), options.other_forms);
     trials = selection.choose(trials, refined.solution);
     result.overdispersion = selection.overdispersion();
     polish(all, objective_options, options, trials.front());

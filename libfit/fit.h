@@ -27,6 +27,8 @@ struct FitOptions {
       10.0;  ///< 10 % more reflected than received costs this / 10 sigma on every cell; 0: no energy penalty
   /// Where the model does not fit the paint, cells of one (theta_h, theta_d) count together (FitResult::shared_error); else each for itself.
   bool limit_groups = true;
+  /// Where the structure is chosen, GGX and the exact Fresnel term of a dielectric are tried lobe by lobe beside the paper's forms.
+  bool other_forms = true;
   int max_iterations = 200;
   unsigned threads = 0;   ///< 0: all; the result does not depend on it
   void validate() const;  ///< throws Error{usage} naming the field

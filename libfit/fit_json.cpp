@@ -15,8 +15,11 @@ Json colour(const glm::dvec3& c) { return {c.x, c.y, c.z}; }
 void add_model(const brdf::CookTorrance& model, Json& j) {
   j["kd"] = colour(model.kd);
   j["lobes"] = Json::array();
-  for (const auto& lobe : model.lobes)
-    j["lobes"].push_back({{"ks", colour(lobe.ks)}, {"m", lobe.m}, {"r", lobe.r}});
+  for (const auto& lobe : model.lobes) {
+    Json& to = j["lobes"].emplace_back(Json{{"ks", colour(lobe.ks)}, {"m", lobe.m}, {"r", lobe.r}});
+    if (lobe.distribution == brdf::Distribution::ggx) to["distribution"] = "ggx";
+    if (lobe.fresnel == brdf::Fresnel::dielectric) to["fresnel"] = "dielectric";
+  }
 }
 
 Json parameters(const FitResult& fit) {
@@ -99,6 +102,7 @@ Json options(const FitOptions& o) {
           {"robust_scale", o.robust_scale},
           {"energy_weight", o.energy_weight},
           {"limit_groups", o.limit_groups},
+          {"other_forms", o.other_forms},
           {"max_iterations", o.max_iterations}};
 }
 

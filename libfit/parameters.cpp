@@ -45,6 +45,8 @@ brdf::CookTorrance ParameterLayout::unpack(const std::vector<double>& x) const {
     for (int c = 0; c < 3; ++c) lobe.ks[c] = x[ks(l, std::min(c, n_channels_ - 1))];
     lobe.m = std::exp(x[log_m(l)]);
     lobe.r = x[r(l)];
+    lobe.distribution = structure_.distribution[l];
+    lobe.fresnel = structure_.fresnel[l];
   }
   return model;
 }
@@ -67,7 +69,10 @@ std::vector<std::string> ParameterLayout::names() const {
 
 std::vector<double> ParameterLayout::lower_bounds(double min_m) const {
   std::vector<double> bounds(static_cast<std::size_t>(size()), 0.0);
-  for (int l = 0; l < n_lobes(); ++l) bounds[log_m(l)] = std::log(min_m);
+  for (int l = 0; l < n_lobes(); ++l) {
+    bounds[log_m(l)] = std::log(min_m);
+    if (structure_.fresnel[l] == brdf::Fresnel::dielectric) bounds[r(l)] = min_dielectric_r;
+  }
   return bounds;
 }
 
@@ -75,7 +80,7 @@ std::vector<double> ParameterLayout::upper_bounds() const {
   std::vector<double> bounds(static_cast<std::size_t>(size()), std::numeric_limits<double>::infinity());
   for (int l = 0; l < n_lobes(); ++l) {
     bounds[log_m(l)] = 0;
-    bounds[r(l)] = 1;
+    bounds[r(l)] = structure_.fresnel[l] == brdf::Fresnel::dielectric ? max_dielectric_r : 1;
   }
   return bounds;
 }

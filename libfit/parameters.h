@@ -15,6 +15,8 @@ struct Structure {
   int n_lobes = 3;
   bool diffuse = true;
   std::array<bool, max_lobes> grey{};  ///< lobe's ks has one value for all channels
+  std::array<brdf::Distribution, max_lobes> distribution{};
+  std::array<brdf::Fresnel, max_lobes> fresnel{};
 
   bool operator==(const Structure&) const = default;
 };
@@ -46,6 +48,9 @@ class ParameterLayout {
   std::vector<std::string> names() const;
   std::vector<double> lower_bounds(double min_m) const;  ///< 0; ln(min_m) for ln(m)
   std::vector<double> upper_bounds() const;              ///< infinity for kd and ks, 0 for ln(m), 1 for r
+
+  /// Bounds of a dielectric's r: outside the derivatives by r grow without limit, and no coat is there.
+  static constexpr double min_dielectric_r = 1e-4, max_dielectric_r = 0.9;
 
  private:
   int n_channels_;

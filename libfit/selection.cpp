@@ -1,6 +1,7 @@
 #include "libfit/selection.h"
 
 #include <fmt/format.h>
+#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <cmath>
@@ -15,7 +16,55 @@ namespace {
 /// A structure whose predicted loss is this many times what its fewer parameters save is not refined on all cells.
 constexpr double hopeless = 10;
 
-int n_parameters(int n_channels, const Structure& structure) { return ParameterLayout(n_channels, structure).size(); }
+/// Other forms than the paper's must gain as much as a parameter each.
+int n_parameters(int n_channels, const Structure& structure) {
+  int n = ParameterLayout(n_channels, structure).size();
+  for (std::size_t l = 0; l < static_cast<std::size_t>(structure.n_lobes); ++l)
+    n += (structure.distribution[l] != brdf::Distribution::beckmann) + (structure.fresnel[l] != brdf::Fresnel::schlick);
+  return n;
+}
+
+bool usual_forms(const Structure& structure) {
+  return structure.distribution == Structure{}.distribution && structure.fresnel == Structure{}.fresnel;
+}
+
+/// A structure with a model to start from.
+struct Variation {
+  Structure structure;
+  brdf::CookTorrance start;
+};
+
+/// A GGX lobe falls to half its height at sqrt(sqrt(2) - 1) m, a Beckmann lobe at sqrt(ln 2) m.
+constexpr double ggx_width = 1.2936;
+
+/// One lobe with GGX or with a dielectric's reflectance; once a lobe has such a form, also models without one of the lobes, which it may
+/// have replaced.
+std::vector<Variation> with_other_forms(const Structure& structure, const brdf::CookTorrance& model) {
+  std::vector<Variation> variations;
+  for (std::size_t l = 0; l < model.lobes.size(); ++l) {
+    if (structure.distribution[l] == brdf::Distribution::beckmann) {
+      Variation& v = variations.emplace_back(Variation{structure, model});
+      v.structure.distribution[l] = brdf::Distribution::ggx;
+      v.start.lobes[l].m = std::min(1.0, model.lobes[l].m * ggx_width);
+    }
+    if (structure.fresnel[l] == brdf::Fresnel::schlick) variations.emplace_back(Variation{structure, model}).structure.fresnel[l] = brdf::Fresnel::dielectric;
+  }
+  if (usual_forms(structure)) return variations;
+  for (std::size_t l = 0; l < model.lobes.size(); ++l) {
+    Variation& v = variations.emplace_back(Variation{structure, model});
+    --v.structure.n_lobes;
+    v.start.lobes.erase(v.start.lobes.begin() + static_cast<std::ptrdiff_t>(l));
+    for (std::size_t k = l; k + 1 < max_lobes; ++k) {
+      v.structure.grey[k] = structure.grey[k + 1];
+      v.structure.distribution[k] = structure.distribution[k + 1];
+      v.structure.fresnel[k] = structure.fresnel[k + 1];
+    }
+    v.structure.grey.back() = false;
+    v.structure.distribution.back() = {};
+    v.structure.fresnel.back() = {};
+  }
+  return variations;
+}
 
 /// The structures that leave out one thing; black stays in, so that there is a model.
 std::vector<Structure> without_one_thing(const Structure& structure, int n_channels) {
@@ -42,6 +91,8 @@ void sort_by_falling_m(Trial& trial) {
   for (std::size_t l = 0; l < order.size(); ++l) {
     trial.model.lobes[l] = before.model.lobes[order[l]];
     trial.structure.grey[l] = before.structure.grey[order[l]];
+    trial.structure.distribution[l] = before.structure.distribution[order[l]];
+    trial.structure.fresnel[l] = before.structure.fresnel[order[l]];
   }
 }
 
@@ -62,20 +113,28 @@ Trial Selection::refined(const Structure& structure, const brdf::CookTorrance& s
   return trial;
 }
 
-std::vector<Trial> Selection::simplified(const Trial& trial) const {
+std::vector<Trial> Selection::varied(const Trial& trial) const {
   const double share = static_cast<double>(all_.n_values) / static_cast<double>(subset_.n_values);
-  const auto on_subset = [&](const Structure& structure) {
+  const auto on_subset = [&](const Structure& structure, const brdf::CookTorrance& start) {
     const Objective objective = this->objective(subset_, structure);
-    return std::pair(minimise(objective, objective.layout().pack(trial.model), solver_), objective);
+    return minimise(objective, objective.layout().pack(start), solver_);
   };
-  const auto [full, ignored] = on_subset(trial.structure);
+  const double full = on_subset(trial.structure, trial.model).cost;
+  std::vector<Variation> variations;
+  for (const Structure& structure : without_one_thing(trial.structure, all_.n_channels)) variations.push_back({structure, trial.model});
+  if (other_forms_)
+    for (Variation& v : with_other_forms(trial.structure, trial.model)) variations.push_back(std::move(v));
+  std::vector<Solution> solutions(variations.size());
+  tbb::parallel_for(std::size_t{0}, variations.size(),
+                    [&](std::size_t i) { solutions[i] = on_subset(variations[i].structure, variations[i].start); });
   std::vector<Trial> trials;
-  for (const Structure& structure : without_one_thing(trial.structure, all_.n_channels)) {
-    const auto [solution, objective] = on_subset(structure);
-    const double loss = (solution.cost - full.cost) * share / overdispersion_;
-    const int saved = n_parameters(all_.n_channels, trial.structure) - objective.layout().size();
-    if (loss > hopeless * penalty(saved)) continue;
-    trials.push_back(refined(structure, objective.layout().unpack(solution.x)));
+  for (std::size_t i = 0; i < variations.size(); ++i) {
+    const Structure& structure = variations[i].structure;
+    const double loss = (solutions[i].cost - full) * share / overdispersion_;
+    const int saved = n_parameters(all_.n_channels, trial.structure) - n_parameters(all_.n_channels, structure);
+    // What the subset promises is off by chance; what adds something must at least promise a gain there.
+    if (loss > (saved > 0 ? hopeless * penalty(saved) : penalty(saved))) continue;
+    trials.push_back(refined(structure, ParameterLayout(all_.n_channels, structure).unpack(solutions[i].x)));
   }
   return trials;
 }
@@ -110,8 +169,8 @@ std::vector<Trial> Selection::choose(const std::vector<Trial>& by_lobes, const S
     return *std::min_element(trials.begin(), trials.end(), [](const Trial& a, const Trial& b) { return a.criterion < b.criterion; });
   };
   for (Trial winner = best();;) {
-    const std::vector<Trial> simpler = simplified(winner);
-    trials.insert(trials.end(), simpler.begin(), simpler.end());
+    const std::vector<Trial> others = varied(winner);
+    trials.insert(trials.end(), others.begin(), others.end());
     const Trial next = best();
     if (next.structure == winner.structure) break;
     winner = next;
@@ -124,6 +183,10 @@ std::string to_text(const Structure& structure) {
   std::string text = fmt::format("{} lobe{}", structure.n_lobes, structure.n_lobes == 1 ? "" : "s");
   for (int l = 0; l < structure.n_lobes; ++l)
     if (structure.grey[static_cast<std::size_t>(l)]) text += fmt::format(", lobe {} grey", l + 1);
+  for (int l = 0; l < structure.n_lobes; ++l) {
+    if (structure.distribution[static_cast<std::size_t>(l)] == brdf::Distribution::ggx) text += fmt::format(", lobe {} GGX", l + 1);
+    if (structure.fresnel[static_cast<std::size_t>(l)] == brdf::Fresnel::dielectric) text += fmt::format(", lobe {} dielectric", l + 1);
+  }
   if (!structure.diffuse) text += ", no diffuse part";
   return text;
 }

@@ -26,11 +26,12 @@ void sort_by_falling_m(Trial& trial);
 class Selection {
  public:
   /// `subset`, `all`: the same table, fewer cells and all that are used, weighed alike for every structure.
-  Selection(const Observations& subset, const Observations& all, const ObjectiveOptions& objective, const SolverOptions& solver)
-      : subset_(subset), all_(all), objective_(objective), solver_(solver) {}
+  Selection(const Observations& subset, const Observations& all, const ObjectiveOptions& objective, const SolverOptions& solver,
+            bool other_forms)
+      : subset_(subset), all_(all), objective_(objective), solver_(solver), other_forms_(other_forms) {}
 
   /// Compares the numbers of lobes by their best models on the subset (`by_lobes`, fewest first, the last one the richest), then leaves
-  /// out of the winner what is not needed. All trials, best first. `richest`: solution of the last one on all cells.
+  /// out of the winner what is not needed and, with `other_forms`, tries GGX and exact Fresnel lobe by lobe. All trials, best first. `richest`: solution of the last one on all cells.
   std::vector<Trial> choose(const std::vector<Trial>& by_lobes, const Solution& richest);
 
   double overdispersion() const { return overdispersion_; }
@@ -43,12 +44,13 @@ class Selection {
   /// What `n` parameters must gain.
   double penalty(int n) const;
   Trial refined(const Structure& structure, const brdf::CookTorrance& start) const;
-  /// The best structure that leaves out one thing of `trial`, if that lowers the criterion.
-  std::vector<Trial> simplified(const Trial& trial) const;
+  /// The structures that differ from `trial` by one thing and may be better.
+  std::vector<Trial> varied(const Trial& trial) const;
 
   const Observations &subset_, &all_;
   ObjectiveOptions objective_;
   SolverOptions solver_;
+  bool other_forms_;
   double overdispersion_ = 1;
 };
 

@@ -77,6 +77,23 @@ TEST(CookTorranceArray, ExtremeWidths) {
     for (const double r : {0.0, 1.0}) EXPECT_LE(largest_error({glm::dvec3(0), {{glm::dvec3(0.1, 1, 10), m, r}}}, p), 1e-5) << m << " " << r;
 }
 
+/// Titan with a GGX base and a dielectric coat.
+CookTorrance other_forms() {
+  CookTorrance model = test::table1_paint("opel-titan");
+  model.lobes[0].distribution = Distribution::ggx;
+  model.lobes[1].distribution = Distribution::ggx;
+  model.lobes[1].fresnel = model.lobes[2].fresnel = Fresnel::dielectric;
+  model.lobes[1].r = 0.3, model.lobes[2].r = 0.04;
+  return model;
+}
+
+TEST(CookTorranceArray, OtherFormsToo) {
+  EXPECT_LE(largest_error(other_forms(), points()), 1e-5);
+  for (const double m : {0.001, 1.0})
+    for (const double r : {1e-4, 0.9})
+      EXPECT_LE(largest_error({glm::dvec3(0), {{glm::dvec3(0.1, 1, 10), m, r, Distribution::ggx, Fresnel::dielectric}}}, points()), 1e-5) << m << " " << r;
+}
+
 TEST(CookTorranceArray, TheSameBytesWithAndWithoutAvx2) {
   const Points p = points();
   for (const auto& [name, paint] : test::table1_paints()) {

@@ -49,6 +49,32 @@ TEST(ModelJson, RoundTripsToTheLastBit) {
   }
 }
 
+TEST(ModelJson, KeepsTheFormsOfALobeAndWritesOnlyTheUnusualOnes) {
+  CookTorrance model;
+  model.lobes = {{glm::dvec3(1), 0.2, 0.3}, {glm::dvec3(1), 0.1, 0.04, Distribution::ggx, Fresnel::dielectric}};
+  const std::string text = model_to_json(model);
+  EXPECT_EQ(text.find("beckmann"), std::string::npos) << text;
+  const CookTorrance back = model_from_json(text, "back");
+  EXPECT_EQ(back.lobes[0].distribution, Distribution::beckmann);
+  EXPECT_EQ(back.lobes[0].fresnel, Fresnel::schlick);
+  EXPECT_EQ(back.lobes[1].distribution, Distribution::ggx);
+  EXPECT_EQ(back.lobes[1].fresnel, Fresnel::dielectric);
+}
+
+TEST(ModelJson, UnknownFormsAreNamed) {
+  const auto complaint = [](const std::string& lobe) -> std::string {
+    try {
+      model_from_json(R"({"kd": [0, 0, 0], "lobes": [)" + lobe + "]}", "x");
+    } catch (const Error& e) {
+      return e.what();
+    }
+    return "";
+  };
+  EXPECT_NE(complaint(R"({"ks": [1, 1, 1], "m": 0.1, "r": 0.1, "distribution": "phong"})").find("lobes[0].distribution: expected \"beckmann\" or \"ggx\""), std::string::npos);
+  EXPECT_NE(complaint(R"({"ks": [1, 1, 1], "m": 0.1, "r": 0.1, "fresnel": 3})").find("lobes[0].fresnel"), std::string::npos);
+  EXPECT_NE(complaint(R"({"ks": [1, 1, 1], "m": 0.1, "r": 1.0, "fresnel": "dielectric"})").find("lobes[0].r: expected at most 0.99"), std::string::npos);
+}
+
 TEST(ModelJson, WritesThePaintEntryOfTable1) {
   const auto json = nlohmann::json::parse(model_to_json(model_from_json(good, "paint.json")));
   EXPECT_EQ(json, nlohmann::json::parse(good));

@@ -39,6 +39,17 @@ TEST_P(Selection, TakesNoLobeNoColourAndNoDiffusePartTooMany) {
   EXPECT_EQ(chosen_fit(grey, GetParam()).candidates.front().structure, "1 lobe, lobe 1 grey, no diffuse part");
 }
 
+TEST_P(Selection, TakesGgxAndADielectricCoatWhereTheyAreAndOnlyThere) {
+  brdf::CookTorrance film = diffuse({0.1, 0.2, 0.3});
+  film.lobes = {{{0.1, 0.12, 0.08}, 0.3, 0.3, brdf::Distribution::ggx}, {{0.3, 0.3, 0.3}, 0.05, 0.04, brdf::Distribution::beckmann, brdf::Fresnel::dielectric}};
+  const fit::FitResult fit = chosen_fit(film, GetParam());
+  EXPECT_EQ(fit.candidates.front().structure, "2 lobes, lobe 2 grey, lobe 1 GGX, lobe 2 dielectric");
+  for (const fit::Parameter& p : fit.parameters) {
+    if (p.name == "m1") EXPECT_NEAR(p.value, 0.3, 4 * p.sigma);
+    if (p.name == "r2") EXPECT_NEAR(p.value, 0.04, 4 * p.sigma);
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Noise, Selection, testing::Values(0.01, 0.05),
                          [](const auto& info) { return info.param < 0.02 ? "OnePercent" : "FivePercent"; });
 

@@ -153,9 +153,37 @@ TEST(Objective, GradientOfGreyLobesAndOfNoDiffusePartEqualsDifferences) {
   expect_curvature_matches(objective, off_truth(layout), fit::Curvature::newton, 1e-5);
 }
 
+/// Two lobes GGX, two dielectric, one both.
+fit::Structure other_forms() {
+  fit::Structure structure{.n_lobes = 3};
+  structure.distribution[0] = structure.distribution[1] = brdf::Distribution::ggx;
+  structure.fresnel[1] = structure.fresnel[2] = brdf::Fresnel::dielectric;
+  return structure;
+}
+
+TEST(Objective, GradientAndHessianOfGgxAndDielectricLobesEqualDifferences) {
+  const ParameterLayout layout{3, other_forms()};
+  std::vector<double> x = off_truth(layout);
+  x[layout.r(1)] = 0.2, x[layout.r(2)] = 0.05;
+  for (const bool blurred : {false, true}) {
+    const Observed seen = blurred ? observed(blurred_mosaic()) : some_observations(0.02, 0.01);
+    const Objective objective(seen.observations, layout, {.robust_scale = 1e9});
+    expect_gradient_matches(objective, x);
+    expect_curvature_matches(objective, x, fit::Curvature::newton, 1e-5);
+  }
+}
+
+void expect_cost_of_the_one_text(const fit::Structure& structure);
+
 TEST(Objective, TheCostIsThatOfTheModelsOneText) {
+  expect_cost_of_the_one_text({.n_lobes = 3});
+  expect_cost_of_the_one_text(other_forms());
+}
+
+void expect_cost_of_the_one_text(const fit::Structure& structure) {
   const Observed seen = observed(blurred_mosaic());
-  const brdf::CookTorrance model = paint("opel-titan");
+  const ParameterLayout layout{3, structure};
+  const brdf::CookTorrance model = layout.unpack(layout.pack(paint("opel-titan")));
   double expected = 0;
   for (const auto& set : seen.observations.sets)
     for (std::size_t k = 0; k < set.size(); ++k)
@@ -169,7 +197,6 @@ TEST(Objective, TheCostIsThatOfTheModelsOneText) {
         const double floor = 1e-3 * t.mean[i], f = model.value(cosines)[static_cast<int>(channel)];
         expected += std::pow(std::log((f + floor) / (t.mean[i] + floor)) / 0.01, 2);
       }
-  const ParameterLayout layout{3, 3};
   const Objective objective(seen.observations, layout, {.robust_scale = 1e9});
   EXPECT_NEAR(objective.cost(layout.pack(model)), expected, 1e-6 * expected);  // directions are kept as floats
 }
