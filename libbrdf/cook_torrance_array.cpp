@@ -18,11 +18,11 @@ constexpr std::size_t width = 8;
 constexpr float largest_exponent = 254.0f;
 
 /// A number in every lane: compilers fill vectors from memory faster than they spread a number.
-/// With the alignment of its numbers only, so that it may lie in any container.
-typedef Float8 Lanes __attribute__((aligned(4)));
+/// What holds them says alignas: the baseline aligns wide vectors to 16 bytes only.
+using Lanes = Float8;
 
 /// A lobe as the loop needs it.
-struct FlatLobe {
+struct alignas(32) FlatLobe {
   Lanes strength;  ///< largest ks / (pi m^2)
   Lanes ks[3];     ///< of the largest one
   Lanes r, index2_minus_1;  ///< square of the index of refraction, dielectric only
@@ -97,7 +97,7 @@ LACQUER_ALWAYS_INLINE Float8 ggx_value(const FlatLobe& lobe, Float8 tan2, Float8
   return (light * d) * (d * lobe.strength);
 }
 
-struct Flat {
+struct alignas(32) Flat {
   Lanes kd_over_pi[3];
   const FlatLobe* lobes;
   std::size_t n_lobes;

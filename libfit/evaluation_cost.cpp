@@ -44,6 +44,10 @@ void add_evaluation_costs(FitResult& fit) {
     }
     candidate.evaluation_ns = best / n;
   }
+  for (Candidate& c : fit.candidates)
+    c.pareto = std::none_of(fit.candidates.begin(), fit.candidates.end(), [&](const Candidate& other) {
+      return other.evaluation_ns < c.evaluation_ns && other.mean_abs_log <= c.mean_abs_log;
+    });
 }
 
 }  // namespace lacquer::fit

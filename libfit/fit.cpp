@@ -13,6 +13,7 @@
 #include "libfit/log_errors.h"
 #include "libfit/objective.h"
 #include "libfit/observations.h"
+#include "libfit/profile.h"
 #include "libfit/selection.h"
 #include "libfit/solver.h"
 #include "libfit/starts.h"
@@ -85,7 +86,8 @@ std::vector<std::vector<Minimum>> find_minima(Observations& subset, double model
                                           .max_iterations = options.max_iterations,
                                           .function_tolerance = 1e-8,
                                           .insignificant = 1e-3,
-                                          .damping = damping});
+                                          .damping = damping,
+                                          .ceres = options.ceres});
       tasks[i].minimum = {sorted_by_falling_m(layout.unpack(solution.x)), solution.cost / static_cast<double>(subset.n_values)};
     });
     std::stable_sort(tasks.begin(), tasks.end(), [](const Task& a, const Task& b) { return a.minimum.cost < b.minimum.cost; });
@@ -124,7 +126,8 @@ SolverOptions refinement(const FitOptions& options, double insignificant) {
           .max_iterations = options.max_iterations,
           .function_tolerance = 1e-4 * insignificant,  // ends the creeping along valleys where the model does not fit the paint
           .insignificant = insignificant,
-          .damping = 0};
+          .damping = 0,
+          .ceres = options.ceres};
 }
 
 /// Minimum of all cells, with weights that follow the model.
@@ -169,6 +172,17 @@ std::vector<Candidate> candidates_of(const std::vector<Trial>& trials, const Obs
   return candidates;
 }
 
+/// The chosen model with its parameters and errors into `result`.
+GroupedQuadratics add_errors(const Observations& all, const ObjectiveOptions& objective_options, const FitOptions& options, const Trial& chosen,
+                             FitResult& result) {
+  const ParameterLayout layout(all.n_channels, chosen.structure);
+  const std::vector<double> x = layout.pack(chosen.model);
+  GroupedQuadratics quadratics = grouped_quadratics(Objective(all, layout, objective_options), x);
+  result.model = chosen.model;
+  add_uncertainty(layout, x, quadratics, all.n_values, options.min_m, result);
+  return quadratics;
+}
+
 FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& options,
                       const Progress& progress) {
   constexpr std::size_t n_steps = 4;
@@ -202,18 +216,23 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   step_done(3);
   std::vector<Trial> trials;
   for (std::size_t s = 0; s < structures.size(); ++s) trials.push_back({structures[s], minima[s].front().model, {}});
+  Selection selection(subset, all, objective_options, refinement(options, compared), options.other_forms);
   if (options.n_lobes) {
     trials = {{structures.back(), refined.model, refined.solution}};
   } else {
-    Selection selection(subset, all, objective_options, refinement(options, compared), options.other_forms);
     trials = selection.choose(trials, refined.solution);
     result.overdispersion = selection.overdispersion();
+    result.parameter_price = selection.penalty(1);
     polish(all, objective_options, options, trials.front());
   }
-
+  GroupedQuadratics quadratics = add_errors(all, objective_options, options, trials.front(), result);
+  while (!options.n_lobes && trials.front().structure.n_lobes > 0 && !every_lobe_shows(result)) {
+    selection.settle(trials, trials.front().structure.n_lobes - 1);
+    polish(all, objective_options, options, trials.front());
+    quadratics = add_errors(all, objective_options, options, trials.front(), result);
+  }
   const Trial& chosen = trials.front();
   const ParameterLayout layout(n_channels, chosen.structure);
-  result.model = chosen.model;
   result.minima = minima[static_cast<std::size_t>(chosen.structure.n_lobes - structures.front().n_lobes)];
   result.candidates = candidates_of(trials, all);
   result.converged = chosen.solution.converged;
@@ -221,11 +240,11 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   result.n_cells = all.n_cells;
   result.n_cells_available = usable.cells.size();
   result.n_residuals = all.n_values;
+  result.n_bounds = all.n_bounds;
   const glm::dvec3 albedo = normal_incidence_albedo(result.model);
   result.energy = std::max({albedo.x, albedo.y, albedo.z});
-  const std::vector<double> x = layout.pack(result.model);
-  const GroupedQuadratics quadratics = grouped_quadratics(Objective(all, layout, objective_options), x);
-  add_uncertainty(layout, x, quadratics, all.n_values, options.min_m, result);
+  if (options.profile)
+    add_profiles(Objective(all, layout, objective_options), layout.pack(result.model), quadratics.all.cost, refinement(options, exact), result);
   add_scale_error(table.scale_sigma, result);
   const LogErrors errors = log_errors(all, result.model);
   result.mean_abs_log = errors.mean;

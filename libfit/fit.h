@@ -29,9 +29,16 @@ struct FitOptions {
   bool limit_groups = true;
   /// Where the structure is chosen, GGX and the exact Fresnel term of a dielectric are tried lobe by lobe beside the paper's forms.
   bool other_forms = true;
+  bool profile = false;  ///< profile intervals of all parameters, see profile.h; minutes on a full table
+  bool ceres = false;    ///< Ceres' solver instead of our own, to check one by the other; slower
   int max_iterations = 200;
   unsigned threads = 0;   ///< 0: all; the result does not depend on it
   void validate() const;  ///< throws Error{usage} naming the field
+};
+
+/// What the profile of the objective says of a parameter, see profile.h.
+struct ProfileInterval {
+  double low68 = 0, high68 = 0, low95 = 0, high95 = 0;
 };
 
 /// A fitted parameter with its standard error; `determined` false: the data says nothing about it (e.g. m of
@@ -43,6 +50,8 @@ struct Parameter {
   double sigma = 0;  ///< from the covariance, 0 where not determined and for ks of a lobe that is off
   bool at_bound = false;  ///< or nearer to it than a tenth of sigma
   bool determined = true;
+  double inflation = 1;  ///< contained in sigma: factor on what the curvature alone says
+  std::optional<ProfileInterval> profile = std::nullopt;  ///< without the error of the table's scale
 };
 
 /// A minimum that starts led to.
@@ -60,8 +69,9 @@ struct Candidate {
   int n_parameters = 0;
   double cost = 0;           ///< robust objective per residual, all cells
   double mean_abs_log = 0;   ///< as FitResult::mean_abs_log
-  double criterion = 0;      ///< above that of the winner
+  double criterion = 0;      ///< above that of the winner; below it where a lobe of the candidate does not stand out from its errors
   double evaluation_ns = 0;  ///< of one RGB value in an array, see add_evaluation_costs; 0: not measured
+  bool pareto = false;       ///< none that was tried evaluates faster and is as near (mean_abs_log); set with evaluation_ns
 };
 
 /// Why cells of a table did not enter the fit; one count per cell and channel.
@@ -82,12 +92,14 @@ struct FitResult {
   std::vector<Minimum> minima;        ///< distinct minima with the chosen number of lobes, best first
   std::vector<Candidate> candidates;  ///< structures that were tried, the chosen one first, then by rising criterion
   double overdispersion = 1;          ///< c of Candidate
+  double parameter_price = 0;         ///< ln(n / c) of Candidate; 0: nothing was chosen
   /// Relative error that cells of one (theta_h, theta_d) were found to share because the model does not fit the paint: limits what they
   /// count together. 0 where it fits.
   double shared_error = 0;
   std::size_t n_cells = 0;            ///< used
   std::size_t n_cells_available = 0;  ///< usable cells of the table
-  std::size_t n_residuals = 0;        ///< used cells times their channels
+  std::size_t n_residuals = 0;        ///< used cells times their channels, without bounds
+  std::size_t n_bounds = 0;           ///< clipped cells times their channels: the model is to be at least that
   LeftOut left_out;
   double scale_sigma = 0;  ///< relative standard error of the table's scale; contained in the errors of kd and ks
   double mean_abs_log = 0;  ///< mean |ln(model / mean)| over used cells with positive mean

@@ -24,12 +24,17 @@ void add_model(const brdf::CookTorrance& model, Json& j) {
 
 Json parameters(const FitResult& fit) {
   Json list = Json::array();
-  for (const Parameter& p : fit.parameters)
-    list.push_back({{"name", p.name},
-                    {"value", p.value},
-                    {"sigma", p.sigma},
-                    {"at_bound", p.at_bound},
-                    {"determined", p.determined}});
+  for (const Parameter& p : fit.parameters) {
+    Json& to = list.emplace_back(Json{{"name", p.name},
+                                      {"value", p.value},
+                                      {"sigma", p.sigma},
+                                      {"at_bound", p.at_bound},
+                                      {"determined", p.determined}});
+    if (p.profile) {
+      to["profile_68"] = {p.profile->low68, p.profile->high68};
+      to["profile_95"] = {p.profile->low95, p.profile->high95};
+    }
+  }
   return list;
 }
 
@@ -66,7 +71,10 @@ Json candidates(const FitResult& fit) {
            {"criterion", candidate.criterion},
            {"cost", candidate.cost},
            {"mean_abs_log", candidate.mean_abs_log}};
-    if (candidate.evaluation_ns > 0) j["evaluation_ns"] = candidate.evaluation_ns;
+    if (candidate.evaluation_ns > 0) {
+      j["evaluation_ns"] = candidate.evaluation_ns;
+      j["pareto"] = candidate.pareto;
+    }
     add_model(candidate.model, j);
     list.push_back(std::move(j));
   }
@@ -78,11 +86,13 @@ Json errors(const FitResult& fit) {
           {"rms_log", fit.rms_log},
           {"reduced_chi2", fit.reduced_chi2},
           {"overdispersion", fit.overdispersion},
+          {"parameter_price", fit.parameter_price},
           {"shared_error", fit.shared_error},
           {"energy", fit.energy},
           {"n_cells", fit.n_cells},
           {"n_cells_available", fit.n_cells_available},
           {"n_residuals", fit.n_residuals},
+          {"n_bounds", fit.n_bounds},
           {"converged", fit.converged},
           {"message", fit.message},
           {"left_out",
@@ -103,6 +113,8 @@ Json options(const FitOptions& o) {
           {"energy_weight", o.energy_weight},
           {"limit_groups", o.limit_groups},
           {"other_forms", o.other_forms},
+          {"profile", o.profile},
+          {"solver", o.ceres ? "ceres" : "own"},
           {"max_iterations", o.max_iterations}};
 }
 

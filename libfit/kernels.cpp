@@ -224,10 +224,14 @@ struct Residual {
   Double4 rho, pull, slope, curvature, huber_weight, huber_curvature;
 };
 
-LACQUER_ALWAYS_INLINE Residual residual(Double4 f, Double4 target, Double4 signed_inverse_sigma, Double4 robust_scale) {
+LACQUER_ALWAYS_INLINE Residual residual(Double4 f, Double4 signed_target, Double4 signed_inverse_sigma, Double4 robust_scale) {
   const Double4 one = splat(1.0), zero = splat(0.0);
-  const Int64x4 linear = signed_inverse_sigma < zero;
-  const Double4 inverse_sigma = absolute(signed_inverse_sigma);
+  const Int64x4 linear = signed_inverse_sigma < zero, bound = (signed_target < zero) & ~linear;
+  Double4 inverse_sigma = absolute(signed_inverse_sigma), target = signed_target;
+  if (any(bound)) {
+    target = select(bound, -signed_target, signed_target);
+    inverse_sigma = select(bound & (f >= target), zero, inverse_sigma);  // a bound that is kept says nothing
+  }
   const Double4 floor = splat(log_floor) * target;
   const Double4 a = select(linear, one, f + floor), b = select(linear, one, target + floor);
   const Double4 inverse = one / (a * b), inverse_a = b * inverse;  // one division for both
@@ -256,7 +260,7 @@ LACQUER_ALWAYS_INLINE Double4 model_value(const FlatModel& model, int channel, c
 }
 
 /// Sums of one block per channel, still by lanes.
-struct LaneSums {
+struct alignas(32) LaneSums {  // the baseline aligns wide vectors to 16 bytes only
   Double4 cost{};
   Double4 gradient[max_local]{};
   Double4 curvature[max_local][n_columns]{};
@@ -378,6 +382,12 @@ LACQUER_ALWAYS_INLINE void evaluate_body(const CellSet& set, std::size_t begin, 
   }
 }
 
+LACQUER_ALWAYS_INLINE void logarithms_body(double* x, std::size_t n) {
+  std::size_t k = 0;
+  for (; k + width <= n; k += width) store(x + k, brdf::log(load<Double4>(x + k)));
+  for (; k < n; ++k) x[k] = brdf::log(splat(x[k]))[0];
+}
+
 using QuadraticLoop = void(const CellSet&, std::size_t, std::size_t, const FlatModel&, double, LaneSums*);
 
 template <Curvature kind>
@@ -390,6 +400,7 @@ double cost_baseline(const CellSet& set, std::size_t begin, std::size_t end, con
 void evaluate_baseline(const CellSet& set, std::size_t begin, std::size_t end, const FlatModel& model, double* const* values) {
   evaluate_body(set, begin, end, model, values);
 }
+void logarithms_baseline(double* x, std::size_t n) { logarithms_body(x, n); }
 
 #ifdef LACQUER_TARGET_AVX2
 template <Curvature kind>
@@ -404,6 +415,7 @@ LACQUER_TARGET_AVX2 void evaluate_avx2(const CellSet& set, std::size_t begin, st
                                        double* const* values) {
   evaluate_body(set, begin, end, model, values);
 }
+LACQUER_TARGET_AVX2 void logarithms_avx2(double* x, std::size_t n) { logarithms_body(x, n); }
 #endif
 
 /// The loops for this processor.
@@ -411,13 +423,15 @@ struct Loops {
   QuadraticLoop *gauss_newton = quadratic_baseline<Curvature::gauss_newton>, *newton = quadratic_baseline<Curvature::newton>;
   double (*cost)(const CellSet&, std::size_t, std::size_t, const FlatModel&, double) = cost_baseline;
   void (*evaluate)(const CellSet&, std::size_t, std::size_t, const FlatModel&, double* const*) = evaluate_baseline;
+  void (*logarithms)(double*, std::size_t) = logarithms_baseline;
 };
 
 Loops choose_loops([[maybe_unused]] bool vectors) {
   Loops loops;
 #ifdef LACQUER_TARGET_AVX2
   if (vectors && __builtin_cpu_supports("avx2"))
-    loops = {quadratic_avx2<Curvature::gauss_newton>, quadratic_avx2<Curvature::newton>, cost_avx2, evaluate_avx2};
+    loops = {quadratic_avx2<Curvature::gauss_newton>, quadratic_avx2<Curvature::newton>, cost_avx2, evaluate_avx2,
+             logarithms_avx2};
 #endif
   return loops;
 }
@@ -460,6 +474,8 @@ void add_quadratic(const CellSet& set, std::size_t begin, std::size_t end, const
 double cost(const CellSet& set, std::size_t begin, std::size_t end, const brdf::CookTorrance& model, double robust_scale) {
   return loops.cost(set, begin, end, FlatModel(model, set.first_channel), robust_scale);
 }
+
+void take_logarithms(std::span<double> x) { loops.logarithms(x.data(), x.size()); }
 
 void evaluate(const CellSet& set, std::size_t begin, std::size_t end, const brdf::CookTorrance& model,
               std::array<std::vector<double>, 3>& values) {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <span>
 #include <vector>
 
 #include "libbrdf/cook_torrance.h"
@@ -36,6 +37,9 @@ double cost(const CellSet& set, std::size_t begin, std::size_t end, const brdf::
 /// Values of the model, 1/sr, at the cells [begin, end) for each channel of the set.
 void evaluate(const CellSet& set, std::size_t begin, std::size_t end, const brdf::CookTorrance& model,
               std::array<std::vector<double>, 3>& values);
+
+/// Natural logarithm of each; positive normal numbers only.
+void take_logarithms(std::span<double> x);
 
 /// false: the baseline's loops even where AVX2 is there; for tests that compare the two. Not while a fit runs.
 void use_vectors(bool yes);

@@ -27,22 +27,15 @@ struct Sum {
   }
 };
 
-/// Calls `add(sum, set, k, values of the models at cell k, channel)` for all cells and channels; sums of chunks are added in order.
-template <std::size_t n_models, typename Add>
-Sum sum_over(const Observations& observations, const std::array<const brdf::CookTorrance*, n_models>& models, const Add& add) {
+/// `add(set, begin, end, sum)` adds a stretch of cells; the sums of the stretches are added in order.
+template <typename Add>
+Sum sum_over(const Observations& observations, const Add& add) {
   Sum total;
   for (const CellSet& set : observations.sets) {
     std::vector<Sum> chunks((set.size() + cells_per_chunk - 1) / cells_per_chunk);
     tbb::parallel_for(std::size_t{0}, chunks.size(), [&](std::size_t chunk) {
       const std::size_t begin = chunk * cells_per_chunk, end = std::min(set.size(), begin + cells_per_chunk);
-      std::array<std::array<std::vector<double>, 3>, n_models> values;
-      for (std::size_t i = 0; i < n_models; ++i) evaluate(set, begin, end, *models[i], values[i]);
-      for (std::size_t c = 0; c < static_cast<std::size_t>(set.n_channels); ++c)
-        for (std::size_t k = begin; k < end; ++k) {
-          std::array<double, n_models> f;
-          for (std::size_t i = 0; i < n_models; ++i) f[i] = values[i][c][k - begin];
-          add(chunks[chunk], set, k, f, c);
-        }
+      add(set, begin, end, chunks[chunk]);
     });
     for (const Sum& chunk : chunks) {
       total.sum += chunk.sum;
@@ -67,20 +60,41 @@ double log_of(double value, const brdf::CookTorrance& model, const Observations&
 }  // namespace
 
 LogErrors log_errors(const Observations& observations, const brdf::CookTorrance& model) {
-  const Sum sum = sum_over<1>(observations, {&model}, [&](Sum& to, const CellSet& set, std::size_t k, const auto& f, std::size_t c) {
-    const float mean = observations.table->channels[static_cast<std::size_t>(set.first_channel) + c].mean[set.cell[k]];
-    if (set.channels[c].inverse_sigma[k] == 0 || !(mean > 0)) return;
-    to.add(f[0] > smallest ? std::log(f[0] / double{mean}) : log_of(f[0], model, observations, set, k, c) - std::log(double{mean}));
+  const Sum sum = sum_over(observations, [&](const CellSet& set, std::size_t begin, std::size_t end, Sum& to) {
+    std::array<std::vector<double>, 3> values;
+    evaluate(set, begin, end, model, values);
+    std::vector<double> ratios(end - begin);
+    for (std::size_t c = 0; c < static_cast<std::size_t>(set.n_channels); ++c) {
+      const CellSet::Channel& channel = set.channels[c];
+      const auto& means = observations.table->channels[static_cast<std::size_t>(set.first_channel) + c].mean;
+      const auto counts = [&](std::size_t k) {  // not a bound, not zero
+        return channel.inverse_sigma[k] != 0 && !(channel.inverse_sigma[k] > 0 && channel.target[k] < 0) && means[set.cell[k]] > 0;
+      };
+      for (std::size_t k = begin; k < end; ++k)
+        ratios[k - begin] = counts(k) && values[c][k - begin] > smallest ? values[c][k - begin] / double{means[set.cell[k]]} : 1;
+      take_logarithms(ratios);
+      for (std::size_t k = begin; k < end; ++k) {
+        if (!counts(k)) continue;
+        const double f = values[c][k - begin];
+        to.add(f > smallest ? ratios[k - begin] : log_of(f, model, observations, set, k, c) - std::log(double{means[set.cell[k]]}));
+      }
+    }
   });
   const double n = static_cast<double>(std::max<std::size_t>(1, sum.n));
   return {sum.sum / n, std::sqrt(sum.squares / n)};
 }
 
 double mean_abs_log_ratio(const Observations& observations, const brdf::CookTorrance& a, const brdf::CookTorrance& b) {
-  const Sum sum = sum_over<2>(observations, {&a, &b}, [&](Sum& to, const CellSet& set, std::size_t k, const auto& f, std::size_t c) {
-    to.add(f[0] > smallest && f[1] > smallest
-               ? std::log(f[0] / f[1])
-               : log_of(f[0], a, observations, set, k, c) - log_of(f[1], b, observations, set, k, c));
+  const Sum sum = sum_over(observations, [&](const CellSet& set, std::size_t begin, std::size_t end, Sum& to) {
+    std::array<std::vector<double>, 3> of_a, of_b;
+    evaluate(set, begin, end, a, of_a);
+    evaluate(set, begin, end, b, of_b);
+    for (std::size_t c = 0; c < static_cast<std::size_t>(set.n_channels); ++c)
+      for (std::size_t k = begin; k < end; ++k) {
+        const double fa = of_a[c][k - begin], fb = of_b[c][k - begin];
+        to.add(fa > smallest && fb > smallest ? std::log(fa / fb)
+                                              : log_of(fa, a, observations, set, k, c) - log_of(fb, b, observations, set, k, c));
+      }
   });
   return sum.n ? sum.sum / static_cast<double>(sum.n) : 0;
 }

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <cmath>
 #include <numbers>
 
@@ -57,8 +56,9 @@ bool in_hemisphere(const brdf::HalfDiff& c) {
 /// again at the same place.
 bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, double safe_angle, const brdf::TableChannel* previous, bool& previous_grazing,
             LeftOut& left_out) {
-  if (!has_value(t.origin[i])) return false;
-  if (t.origin[i] != CellOrigin::measured) {
+  if (t.origin[i] == CellOrigin::empty) return false;
+  const bool clipped = t.origin[i] == CellOrigin::clipped;
+  if (!clipped && t.origin[i] != CellOrigin::measured) {
     ++left_out.not_measured;
     return false;
   }
@@ -68,7 +68,7 @@ bool usable(const brdf::TableChannel& t, std::size_t i, double min_cosine, doubl
     ++left_out.not_finite;
     return false;
   }
-  if (t.mean[i] <= 0 && t.variance[i] == 0) {
+  if (t.mean[i] <= 0 && (t.variance[i] == 0 || clipped)) {
     ++left_out.not_positive;
     return false;
   }
@@ -267,9 +267,15 @@ Comparison comparison(double mean, double variance, double signal, double model_
   if (mean > noise && signal > weak_signal * noise) {
     // E[ln(true + noise)] = ln(true) - variance / (2 true^2): the target is raised by that much.
     const double relative = noise / signal, bias = variance / (mean * mean) / 2;
-    return {static_cast<float>(mean * std::exp(bias)), static_cast<float>(1 / hypotenuse(relative, model_sigma))};
+    const double factor = bias < 0.01 ? 1 + bias * (1 + bias / 2 * (1 + bias / 3)) : std::exp(bias);  // to 4e-10: floats
+    return {static_cast<float>(mean * factor), static_cast<float>(1 / hypotenuse(relative, model_sigma))};
   }
   return {static_cast<float>(mean), static_cast<float>(-1 / hypotenuse(noise, model_sigma * std::max(signal, mean)))};
+}
+
+/// A bound is kept or not, whatever the model says of its noise.
+Comparison comparison_with_bound(double bound, double variance, double model_sigma) {
+  return {static_cast<float>(-bound), static_cast<float>(1 / std::sqrt(variance / (bound * bound) + model_sigma * model_sigma))};
 }
 
 }  // namespace
@@ -279,7 +285,9 @@ Observations observe(const brdf::HalfAngleTable& table, const UsableCells& cells
   result.table = &table;
   result.n_channels = static_cast<int>(table.channels.size());
   result.n_cells = cells.cells.size();
-  for (const std::uint8_t channels : cells.channels) result.n_values += static_cast<std::size_t>(std::popcount(channels));
+  for (std::size_t k = 0; k < cells.cells.size(); ++k)
+    for (std::size_t c = 0; c < table.channels.size(); ++c)
+      if (cells.channels[k] >> c & 1) ++(table.channels[c].origin[cells.cells[k]] == CellOrigin::clipped ? result.n_bounds : result.n_values);
   const SetSizes sizes = sort_into_sets(table, cells);
   for (int s = 0; s <= result.n_channels; ++s) {
     const auto& members = sizes.cells[static_cast<std::size_t>(s)];
@@ -309,7 +317,9 @@ void weigh(Observations& observations, double model_sigma, const brdf::CookTorra
           }
           const double mean = t.mean[set.cell[k]];
           const double signal = reference ? values[static_cast<std::size_t>(c)][k - range.begin()] : std::max(mean, 0.0);
-          const Comparison compared = comparison(mean, t.variance[set.cell[k]], signal, model_sigma);
+          const Comparison compared = t.origin[set.cell[k]] == CellOrigin::clipped
+                                          ? comparison_with_bound(mean, t.variance[set.cell[k]], model_sigma)
+                                          : comparison(mean, t.variance[set.cell[k]], signal, model_sigma);
           channel.target[k] = compared.target;
           channel.inverse_sigma[k] = compared.inverse_sigma;
         }
@@ -344,21 +354,24 @@ double shared_error(const Observations& observations, const brdf::CookTorrance& 
   std::vector<Group> groups;
   for (const CellSet& set : observations.sets) {
     std::array<std::vector<double>, 3> values;
-    evaluate(set, 0, set.size(), model, values);
-    for (int c = 0; c < set.n_channels; ++c) {
-      const CellSet::Channel& channel = set.channels[static_cast<std::size_t>(c)];
-      const std::vector<double>& value = values[static_cast<std::size_t>(c)];
-      for_each_group(set, [&](std::size_t begin, std::size_t end) {
+    for_each_group(set, [&](std::size_t begin, std::size_t end) {
+      evaluate(set, begin, end, model, values);
+      for (int c = 0; c < set.n_channels; ++c) {
+        const CellSet::Channel& channel = set.channels[static_cast<std::size_t>(c)];
+        std::vector<double>& ratio = values[static_cast<std::size_t>(c)];
+        const auto counts = [&](std::size_t k) { return channel.inverse_sigma[k] > 0 && channel.target[k] > 0; };  // else unused, weak, clipped
+        for (std::size_t k = begin; k < end; ++k) ratio[k - begin] = counts(k) ? ratio[k - begin] / channel.target[k] : 1;
+        take_logarithms(ratio);
         double sum = 0, weight = 0;
         for (std::size_t k = begin; k < end; ++k) {
-          if (!(channel.inverse_sigma[k] > 0)) continue;  // not used, or too weak for a logarithm
+          if (!counts(k)) continue;
           const double w = static_cast<double>(channel.inverse_sigma[k]) * channel.inverse_sigma[k];
-          sum += w * std::log(value[k] / channel.target[k]);
+          sum += w * ratio[k - begin];
           weight += w;
         }
-        if (weight > 0 && std::isfinite(sum)) groups.push_back({sum / weight, 1 / weight});
-      });
-    }
+        if (weight > 0) groups.push_back({sum / weight, 1 / weight});
+      }
+    });
   }
   if (groups.empty()) return 0;
   std::vector<double> squares(groups.size());

@@ -21,7 +21,7 @@ struct CellSet {
   std::vector<float> front;           ///< G / (pi (n.wi)(n.wo) cos^4(theta_h)): what of a lobe depends on the directions alone
   std::vector<float> along, across, mixed;  ///< footprint, see brdf::Footprint; all empty: points
   struct Channel {
-    std::vector<float> target;  ///< value that the model is compared with, 1/sr; 1 where not used
+    std::vector<float> target;  ///< value that the model is compared with, 1/sr; 1 where not used; minus a lower bound of a clipped cell
     /// 1 / sigma of the logarithm; minus 1 / sigma of the value where values are compared; 0: not used.
     std::vector<float> inverse_sigma;
   };
@@ -36,7 +36,8 @@ struct Observations {
   int n_channels = 3;
   std::vector<CellSet> sets;
   std::size_t n_cells = 0;   ///< with at least one usable channel
-  std::size_t n_values = 0;  ///< usable cells times channels
+  std::size_t n_values = 0;  ///< usable cells times channels, without bounds
+  std::size_t n_bounds = 0;  ///< clipped cells times channels
 };
 
 /// Decision about every cell of a table.

@@ -15,6 +15,7 @@ namespace {
 
 /// A structure whose predicted loss is this many times what its fewer parameters save is not refined on all cells.
 constexpr double hopeless = 10;
+constexpr int most_lobes = max_lobes;
 
 /// Other forms than the paper's must gain as much as a parameter each.
 int n_parameters(int n_channels, const Structure& structure) {
@@ -165,18 +166,28 @@ std::vector<Trial> Selection::choose(const std::vector<Trial>& by_lobes, const S
     trial.criterion = criterion(trial.solution.cost, trial.structure);
     trials.push_back(std::move(trial));
   }
+  settle(trials, most_lobes);
+  return trials;
+}
+
+void Selection::settle(std::vector<Trial>& trials, int n_lobes) const {
   const auto best = [&] {
-    return *std::min_element(trials.begin(), trials.end(), [](const Trial& a, const Trial& b) { return a.criterion < b.criterion; });
+    const Trial* least = nullptr;
+    for (const Trial& t : trials)
+      if (t.structure.n_lobes <= n_lobes && (!least || t.criterion < least->criterion)) least = &t;
+    return *least;
   };
-  for (Trial winner = best();;) {
-    const std::vector<Trial> others = varied(winner);
-    trials.insert(trials.end(), others.begin(), others.end());
+  Trial winner = best();
+  for (;;) {
+    for (Trial& other : varied(winner))
+      if (std::none_of(trials.begin(), trials.end(), [&](const Trial& t) { return t.structure == other.structure; }))
+        trials.push_back(std::move(other));
     const Trial next = best();
     if (next.structure == winner.structure) break;
     winner = next;
   }
   std::stable_sort(trials.begin(), trials.end(), [](const Trial& a, const Trial& b) { return a.criterion < b.criterion; });
-  return trials;
+  std::stable_partition(trials.begin(), trials.end(), [&](const Trial& t) { return t.structure == winner.structure; });
 }
 
 std::string to_text(const Structure& structure) {

@@ -34,15 +34,18 @@ class Selection {
   /// out of the winner what is not needed and, with `other_forms`, tries GGX and exact Fresnel lobe by lobe. All trials, best first. `richest`: solution of the last one on all cells.
   std::vector<Trial> choose(const std::vector<Trial>& by_lobes, const Solution& richest);
 
+  /// Puts the best trial of at most so many lobes first, after trying what may be better still; the rest by rising criterion.
+  void settle(std::vector<Trial>& trials, int n_lobes) const;
+
   double overdispersion() const { return overdispersion_; }
+  /// What `n` parameters must gain.
+  double penalty(int n) const;
 
  private:
   Objective objective(const Observations& observations, const Structure& structure) const {
     return {observations, ParameterLayout(observations.n_channels, structure), objective_};
   }
   double criterion(double cost, const Structure& structure) const;
-  /// What `n` parameters must gain.
-  double penalty(int n) const;
   Trial refined(const Structure& structure, const brdf::CookTorrance& start) const;
   /// The structures that differ from `trial` by one thing and may be better.
   std::vector<Trial> varied(const Trial& trial) const;

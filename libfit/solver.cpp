@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
+
+#include "libfit/ceres_solver.h"
 
 namespace lacquer::fit {
 
@@ -113,9 +116,20 @@ class BoundedStep {
 
 }  // namespace
 
+Bounds::Bounds(const ParameterLayout& layout, const SolverOptions& options)
+    : lower(layout.lower_bounds(options.min_m)), upper(layout.upper_bounds()) {
+  if (options.fixed) lower[options.fixed->first] = upper[options.fixed->first] = options.fixed->second;
+}
+
+void Bounds::clamp(std::vector<double>& x) const {
+  for (std::size_t k = 0; k < x.size(); ++k) x[k] = std::clamp(x[k], lower[k], upper[k]);
+}
+
 Solution minimise(const Objective& objective, std::vector<double> start, const SolverOptions& options) {
-  const std::vector<double> lower = objective.layout().lower_bounds(options.min_m), upper = objective.layout().upper_bounds();
-  for (std::size_t k = 0; k < start.size(); ++k) start[k] = std::clamp(start[k], lower[k], upper[k]);
+  if (options.ceres) return minimise_with_ceres(objective, std::move(start), options);
+  const Bounds bounds(objective.layout(), options);
+  const std::vector<double>&lower = bounds.lower, &upper = bounds.upper;
+  bounds.clamp(start);
   Solution solution{.x = std::move(start)};
   Quadratic q = objective.quadratic(solution.x, Curvature::newton);
   bool gauss_newton = false;

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "libfit/objective.h"
@@ -15,6 +17,15 @@ struct SolverOptions {
   /// parameter by less than about 1e-3 of its standard error.
   double insignificant = 1e-6;
   double damping = 1e-4;  ///< of the first step; 0 where the start is known to be near
+  std::optional<std::pair<int, double>> fixed = std::nullopt;  ///< this parameter is held at this value
+  bool ceres = false;  ///< by Ceres' solver, see ceres_solver.h
+};
+
+/// Bounds of the solver's parameters.
+struct Bounds {
+  std::vector<double> lower, upper;
+  Bounds(const ParameterLayout& layout, const SolverOptions& options);
+  void clamp(std::vector<double>& x) const;
 };
 
 struct Solution {

@@ -101,8 +101,10 @@ std::vector<ChannelGram> channel_grams(const Observations& observations, const s
     for (const auto& [set, c] : sets_of_channel(observations, channel)) {
       const auto& values = lobes.at(set);
       for (std::size_t k = 0; k < set->size(); ++k) {
-        const double inverse_sigma = set->channels[c].inverse_sigma[k], target = set->channels[c].target[k];
+        const double inverse_sigma = set->channels[c].inverse_sigma[k], signed_target = set->channels[c].target[k];
         if (inverse_sigma == 0) continue;
+        // A clipped peak at its bound is nearer to the truth than none.
+        const double target = inverse_sigma > 0 ? std::abs(signed_target) : signed_target;
         Columns row;
         row[0] = std::numbers::inv_pi;
         for (std::size_t i = 0; i < grid_size; ++i) {

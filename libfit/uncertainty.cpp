@@ -146,6 +146,27 @@ double overdispersion(const ParameterLayout& layout, const std::vector<double>& 
   return factor;
 }
 
+bool every_lobe_shows(const FitResult& result) {
+  constexpr double schlick_at_80_deg = 0.385, limit = 3;
+  const std::size_t n = result.parameters.size();
+  std::vector<bool> shows(result.model.lobes.size(), false);
+  for (std::size_t i = 0; i < n; ++i) {
+    const Parameter& ks = result.parameters[i];
+    if (!ks.name.starts_with("ks")) continue;
+    const std::string lobe = ks.name.substr(2, ks.name.find('.') - 2);
+    std::size_t k = 0;
+    while (result.parameters[k].name != "r" + lobe) ++k;
+    const auto covariance = [&](std::size_t a, std::size_t b) { return result.covariance[a * n + b]; };
+    for (const double weight : {0.0, schlick_at_80_deg}) {
+      const double r = result.parameters[k].value, f = r + (1 - r) * weight, by_r = ks.value * (1 - weight);
+      const double variance = f * f * covariance(i, i) + 2 * f * by_r * covariance(i, k) + by_r * by_r * covariance(k, k);
+      // Without a standard error nothing can be said against the lobe, unless it is off.
+      if (ks.value > 0 && (!(variance > 0) || ks.value * f > limit * std::sqrt(variance))) shows[std::stoul(lobe) - 1] = true;
+    }
+  }
+  return std::all_of(shows.begin(), shows.end(), [](bool s) { return s; });
+}
+
 Eigensystem symmetric_eigensystem(std::vector<double> a, int n) {
   std::vector<double> v(a.size(), 0.0);
   for (int i = 0; i < n; ++i) v[i * n + i] = 1;
@@ -216,6 +237,7 @@ void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x
     if (!inverse.determined[i] || (is_shape[live[i]] && sigma > 1)) continue;
     result.parameters[live[i]].determined = true;
     result.parameters[live[i]].sigma = sigma * to_public[live[i]];
+    result.parameters[live[i]].inflation = factors[i];
     // So near that the difference means nothing.
     const double margin = 0.1 * sigma;
     result.parameters[live[i]].at_bound |= x[live[i]] - lower[live[i]] < margin || upper[live[i]] - x[live[i]] < margin;

@@ -20,6 +20,11 @@ namespace lacquer::fit {
 void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x, const GroupedQuadratics& quadratics,
                      std::size_t n_values, double min_m, FitResult& result);
 
+/// False: a lobe's strength is within 3 standard errors of none, in every channel and both at normal incidence, ks r, and at theta_d of 80
+/// degrees. What a criterion takes for a weak lobe may be errors that neighbouring cells share, beside a narrow lobe above all: these are
+/// in the standard errors. From the parameters and covariance of `result`.
+bool every_lobe_shows(const FitResult& result);
+
 /// Factor >= 1 by which the objective's differences overstate what the data says: reduced chi^2, or the mean over the parameters of the
 /// sandwich's variance beside the Gauss-Newton matrix's, whichever is largest.
 double overdispersion(const ParameterLayout& layout, const std::vector<double>& x, const GroupedQuadratics& q, std::size_t n_values);

@@ -6,12 +6,14 @@
 #include <glm/trigonometric.hpp>
 #include <iostream>
 #include <memory>
+#include <optional>
 #include <sstream>
 #include <string_view>
 
 #include "libbrdf/brdf.h"
 #include "libbrdf/file_error.h"
 #include "libbrdf/files.h"
+#include "libfit/fitted_model.h"
 #include "tools/command.h"
 
 namespace lacquer::tools {
@@ -81,18 +83,25 @@ std::vector<brdf::Directions> read_directions(const std::string& name) {
   return read_directions(in, name);
 }
 
-/// One line per direction; returns how many had no value.
-std::size_t print_values(const brdf::Brdf& brdf, const std::vector<brdf::Directions>& directions) {
+/// One line per direction; returns how many had no value. `fit`: its standard errors are three more columns.
+std::size_t print_values(const brdf::Brdf& brdf, const std::vector<brdf::Directions>& directions, const std::optional<fit::FittedModel>& fit) {
   std::size_t n_undefined = 0;
   fmt::memory_buffer out;
-  fmt::format_to(std::back_inserter(out), "r,g,b\n");
+  fmt::format_to(std::back_inserter(out), "r,g,b{}\n", fit ? ",sigma_r,sigma_g,sigma_b" : "");
   for (const auto& d : directions) {
-    if (const auto f = brdf.value(d)) {
-      fmt::format_to(std::back_inserter(out), "{:.9g},{:.9g},{:.9g}\n", f->r, f->g, f->b);
-    } else {
-      fmt::format_to(std::back_inserter(out), ",,\n");
+    const auto f = brdf.value(d);
+    if (!f) {
+      fmt::format_to(std::back_inserter(out), ",,{}\n", fit ? ",,," : "");
       ++n_undefined;
+      continue;
     }
+    fmt::format_to(std::back_inserter(out), "{:.9g},{:.9g},{:.9g}", f->r, f->g, f->b);
+    if (fit) {
+      const bool above = d.wi.z > 0 && d.wo.z > 0;
+      const glm::dvec3 sigma = above ? fit::value_sigma(*fit, brdf::half_angle_cosines(d)) : glm::dvec3(0);
+      fmt::format_to(std::back_inserter(out), ",{:.4g},{:.4g},{:.4g}", sigma.r, sigma.g, sigma.b);
+    }
+    out.push_back('\n');
   }
   if (std::fwrite(out.data(), 1, out.size(), stdout) != out.size() || std::fflush(stdout) != 0)
     throw Error(ErrorCode::file, "stdout: the values could not be written");
@@ -105,14 +114,18 @@ void add_eval(CLI::App& app, Context& context) {
   auto* command = app.add_subcommand("eval", "Values of a BRDF in 1/sr, without the cosine, as CSV r,g,b on stdout");
   struct Options {
     std::string input, directions;
+    bool sigma = false;
   };
   const auto options = std::make_shared<Options>();
   command->add_option("INPUT", options->input, "BRDF file: table.exr, fit.json, MERL .binary, RGL .bsdf")->required();
   command->add_option("--directions", options->directions, fmt::format("CSV with the header {}; - for stdin", csv_header))->required();
+  command->add_flag("--sigma", options->sigma, "standard errors too, sigma_r,sigma_g,sigma_b; of a fit.json only");
   command->callback([options, &context] {
     const auto brdf = brdf::load_brdf(options->input);
     const auto directions = read_directions(options->directions);
-    const std::size_t n_undefined = print_values(*brdf, directions);
+    std::optional<fit::FittedModel> fit;
+    if (options->sigma) fit = fit::read_fit(options->input);
+    const std::size_t n_undefined = print_values(*brdf, directions, fit);
     if (n_undefined > 0 && !context.quiet)
       fmt::print(stderr, "{} of {} directions: {} says nothing there, the fields are empty\n", n_undefined, directions.size(),
                  brdf->description());

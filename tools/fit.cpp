@@ -1,12 +1,17 @@
 #include <fmt/format.h>
 
+#include <filesystem>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "libbrdf/brdf.h"
+#include "libbrdf/error.h"
+#include "libbrdf/files.h"
 #include "libbrdf/table.h"
 #include "libfit/fit.h"
 #include "tools/command.h"
+#include "tools/fit_table.h"
 #include "tools/summary.h"
 
 namespace lacquer::tools {
@@ -14,7 +19,8 @@ namespace lacquer::tools {
 namespace {
 
 struct Options {
-  std::string input, output;
+  std::vector<std::string> inputs;
+  std::string output, table;
   double max_theta_deg = 85;
   bool json = false;
   fit::FitOptions fit;
@@ -34,15 +40,49 @@ std::string one_line(const brdf::CookTorrance& model) {
 }
 
 std::string candidate_table(const fit::FitResult& fit) {
-  std::string text = fmt::format("\n{:<36} {:>10} {:>10} {:>6} {:>12}\n", "candidate", "mean |ln|", "parameters", "ns", "criterion");
+  std::string text = fmt::format("\n{:<48} {:>10} {:>10} {:>6} {:>12}\n", "candidate", "mean |ln|", "parameters", "ns", "criterion");
   for (const fit::Candidate& c : fit.candidates)
-    text += fmt::format("{:<36} {:>10.4g} {:>10} {:>6.2f} {:>+12.4g}\n", c.structure, c.mean_abs_log, c.n_parameters, c.evaluation_ns,
-                        c.criterion);
+    text += fmt::format("{:<48} {:>10.4g} {:>10} {:>6.2f} {:>+12.4g}{}\n", c.structure, c.mean_abs_log, c.n_parameters, c.evaluation_ns,
+                        c.criterion, c.pareto ? "  no faster one is as near" : "");
+  if (fit.candidates.size() > 1)
+    text += fmt::format("chosen: {}, whose error with {:.3g} per parameter added is least (1 in {:.3g} values counts as independent)\n",
+                        fit.candidates.front().structure, fit.parameter_price, fit.overdispersion);
   return text + "\n";
 }
 
-std::string to_text(const Options& options, const brdf::Brdf& input, const fit::FitResult& fit) {
-  std::string text = fmt::format("input        {} ({})\n\n", options.input, input.description());
+/// Where the fit of `input` goes: the file itself, or one of its name in the folder where there are several inputs.
+std::string output_of(const Options& options, const std::string& input) {
+  if (options.output.empty() || options.inputs.size() == 1) return options.output;
+  return (std::filesystem::path(options.output) / (std::filesystem::path(input).stem().string() + ".json")).string();
+}
+
+/// Fits one input and reports on it.
+NamedFit fit_one(const Options& options, const std::string& name, const Context& context) {
+  const auto input = brdf::load_brdf(name);
+  std::optional<brdf::HalfAngleTable> storage;
+  const brdf::HalfAngleTable& table = table_of(*input, options.fit.min_cosine, storage);
+  NamedFit named{std::filesystem::path(name).stem().string(), fit::fit_table(table, options.fit, stderr_progress(context))};
+  fit::add_evaluation_costs(named.fit);
+  const std::string provenance = provenance_json(context, {name}), output = output_of(options, name);
+  if (!output.empty()) fit::write_fit(output, named.fit, table.absolute_scale, provenance);
+  if (options.json)
+    fmt::print("{}", fit::fit_to_json(named.fit, table.absolute_scale, provenance));
+  else
+    fmt::print("{}", to_text(name, input->description(), output, named.fit));
+  return named;
+}
+
+/// Complaints about the command line before an hour of work, not after it.
+void check(const Options& options) {
+  options.fit.validate();
+  if (!options.table.empty()) table_format(options.table);
+  if (options.inputs.size() > 1 && !options.output.empty() && !std::filesystem::is_directory(options.output))
+    throw Error(ErrorCode::usage, fmt::format("-o: expected an existing folder for the fits of {} inputs, got {}", options.inputs.size(), options.output));
+  if (options.inputs.size() > 1 && options.json) throw Error(ErrorCode::usage, "--json: expected one input");
+}
+
+std::string to_text(const std::string& input, const std::string& description, const std::string& output, const fit::FitResult& fit) {
+  std::string text = fmt::format("input        {} ({})\n\n", input, description);
   text += parameter_table(fit, nullptr);
   text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n",
                       fit.mean_abs_log, fit.rms_log);
@@ -58,12 +98,13 @@ std::string to_text(const Options& options, const brdf::Brdf& input, const fit::
   text += fmt::format(
       "left out     {} grazing, {} not positive, {} not finite, {} not measured (cells times channels)\n",
       out.grazing, out.not_positive, out.not_finite, out.not_measured);
+  if (fit.n_bounds > 0) text += fmt::format("bounds       {} clipped (cells times channels): the model is to be at least that\n", fit.n_bounds);
   for (std::size_t i = 0; i < fit.minima.size(); ++i)
     text += fmt::format("minimum {}    cost {:.6g}: {}\n", i + 1, fit.minima[i].cost, one_line(fit.minima[i].model));
   text += candidate_table(fit);
   text += fmt::format("solver       {}{}\n", fit.converged ? "" : "DID NOT CONVERGE: ", fit.message);
   text += fmt::format("time         {:.2f} s\n", fit.seconds);
-  if (!options.output.empty()) text += fmt::format("fit          {}\n", options.output);
+  if (!output.empty()) text += fmt::format("fit          {}\n", output);
   return text;
 }
 
@@ -74,8 +115,9 @@ void add_fit(CLI::App& app, Context& context) {
   fit::FitOptions& o = options->fit;
   CLI::App* command =
       app.add_subcommand("fit", "table -> multi-lobe Cook-Torrance parameters with standard errors");
-  command->add_option("TABLE", options->input, "table.exr, MERL .binary, RGL .bsdf or a model")->required();
-  command->add_option("-o,--output", options->output, "fit.json to write");
+  command->add_option("TABLE", options->inputs, "table.exr, MERL .binary, RGL .bsdf or a model; several: one fit each")->required();
+  command->add_option("-o,--output", options->output, "fit.json to write; several inputs: folder for NAME.json");
+  command->add_option("--table", options->table, "parameters of all inputs as .csv, .md or .tex, in their order");
   command->add_option("--lobes", o.n_lobes, "number of lobes, 0 to 5; not given: the structure that the data supports");
   command->add_option("--max-cells", o.max_cells, "cells used, spread over the table")->capture_default_str();
   command->add_option("--starts", o.n_starts, "starts that are refined")->capture_default_str();
@@ -87,23 +129,22 @@ void add_fit(CLI::App& app, Context& context) {
       ->add_option("--max-theta-deg", options->max_theta_deg,
                    "leave out light and camera directions beyond this")
       ->capture_default_str();
+  command->add_flag("--profile", o.profile, "profile intervals of the parameters; takes minutes on a full table");
+  command->add_option_function<std::string>("--solver", [&o](const std::string& name) { o.ceres = name == "ceres"; },
+                                            "own, or ceres to check one by the other")
+      ->check(CLI::IsMember({"own", "ceres"}));
   command->add_option("--threads", o.threads, "0: all; the result does not depend on it")
       ->capture_default_str();
   command->add_flag("--json", options->json, "the fit as JSON instead of lines for people");
   command->callback([options, &context] {
     options->fit.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);
-    options->fit.validate();
-    const auto input = brdf::load_brdf(options->input);
-    std::optional<brdf::HalfAngleTable> storage;
-    const brdf::HalfAngleTable& table = table_of(*input, options->fit.min_cosine, storage);
-    fit::FitResult fit = fit::fit_table(table, options->fit, stderr_progress(context));
-    fit::add_evaluation_costs(fit);
-    const std::string provenance = provenance_json(context, {options->input});
-    if (!options->output.empty()) fit::write_fit(options->output, fit, table.absolute_scale, provenance);
-    if (options->json)
-      fmt::print("{}", fit::fit_to_json(fit, table.absolute_scale, provenance));
-    else
-      fmt::print("{}", to_text(*options, *input, fit));
+    check(*options);
+    std::vector<NamedFit> fits;
+    for (const std::string& input : options->inputs) {
+      if (!fits.empty() && !options->json) fmt::print("\n");
+      fits.push_back(fit_one(*options, input, context));
+    }
+    if (!options->table.empty()) brdf::write_text_atomically(options->table, fit_table_text(fits, table_format(options->table)));
   });
 }
 

@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "libbrdf/error.h"
+#include "tools/fit_table.h"
 
 namespace lacquer::tools {
 
@@ -85,13 +86,26 @@ std::string with_error(double value, double sigma) {
   return fmt::format("{:.{}f} ± {:.{}f}", value, decimals, sigma, decimals);
 }
 
+namespace {
+
+/// What a reader must know of a parameter besides its error.
+std::string note_on(const fit::Parameter& p) {
+  std::string note = !p.determined ? "not determined by the data" : p.at_bound ? "at its bound" : "";
+  if (p.profile)
+    note += fmt::format("{}profile 68 % [{:.5g}, {:.5g}], 95 % [{:.5g}, {:.5g}]", note.empty() ? "" : "; ", p.profile->low68, p.profile->high68,
+                        p.profile->low95, p.profile->high95);
+  return note;
+}
+
+}  // namespace
+
 std::vector<ParameterRow> parameter_rows(const fit::FitResult& fit, const brdf::CookTorrance* truth) {
   const auto true_values = truth ? named_parameters(matched(*truth, fit.model)) : std::vector<std::pair<std::string, double>>{};
   std::vector<ParameterRow> rows;
   for (const auto& p : fit.parameters) {
     const auto found = std::find_if(true_values.begin(), true_values.end(), [&](const auto& t) { return t.first == p.name; });
     rows.push_back({p.name, with_error(p.value, p.determined ? p.sigma : 0), found != true_values.end() ? fmt::format("{:.5g}", found->second) : "",
-                    !p.determined ? "not determined by the data" : p.at_bound ? "at its bound" : ""});
+                    note_on(p)});
   }
   return rows;
 }

@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <random>
 
@@ -15,7 +16,9 @@
 #include "libbrdf/files.h"
 #include "libbrdf/table.h"
 #include "libfit/fit.h"
+#include "libfit/objective.h"
 #include "libfit/observations.h"
+#include "libfit/solver.h"
 #include "tools/plot.h"
 
 /// Speed against error of the fit, beside SciPy on the same cells; which structure is chosen at which noise; how often error bars cover.
@@ -171,6 +174,63 @@ void coverage(int repeats, std::size_t max_cells) {
              100 * largest[largest.size() / 2], 100 * largest.back());
 }
 
+/// Least cost of the same objective on the same cells and weights, by SciPy from random starts; NaN: none came back.
+double scipy_film(const fit::Observations& observations, int n_lobes, int starts, const std::filesystem::path& folder) {
+  std::vector<double> rows;
+  for (const fit::CellSet& set : observations.sets)
+    for (std::size_t k = 0; k < set.size(); ++k) {
+      rows.insert(rows.end(), {set.tan2_theta_h[k], set.schlick_weight[k], set.front[k]});
+      double target[3] = {1, 1, 1}, weight[3] = {};
+      for (int c = 0; c < set.n_channels; ++c) {
+        target[set.first_channel + c] = set.channels[c].target[k];
+        weight[set.first_channel + c] = set.channels[c].inverse_sigma[k];
+      }
+      rows.insert(rows.end(), target, target + 3);
+      rows.insert(rows.end(), weight, weight + 3);
+    }
+  std::filesystem::create_directories(folder);
+  const auto cells = folder / "film.f64", answer = folder / "film.json";
+  std::ofstream(cells, std::ios::binary).write(reinterpret_cast<const char*>(rows.data()), static_cast<std::streamsize>(rows.size() * sizeof(double)));
+  const std::string command = fmt::format("/usr/bin/python3 '{}/bench/fit/scipy_films.py' '{}' {} {} > '{}' 2> /dev/null", LACQUER_SOURCE_DIR,
+                                          cells.string(), n_lobes, starts, answer.string());
+  if (std::system(command.c_str()) != 0) return std::nan("");
+  double least = std::numeric_limits<double>::infinity();
+  for (const double cost : nlohmann::json::parse(std::ifstream(answer)).at("costs")) least = std::min(least, cost);
+  return least;
+}
+
+/// Error of 1, 2 and 3 lobes on each measured film, what the choice of structure takes, and the minimum beside SciPy's.
+void films(const std::filesystem::path& folder, int starts, bool smoke) {
+  const std::filesystem::path data = std::filesystem::path(LACQUER_SOURCE_DIR) / ".." / "shared" / "data" / "measured-brdf",
+                              sample = std::filesystem::path(LACQUER_SOURCE_DIR) / "data-samples" / "measured" / "vch_golden_yellow_rgb.bsdf";
+  std::vector<std::filesystem::path> files{sample};
+  if (!smoke && std::filesystem::is_directory(data))
+    for (const auto& entry : std::filesystem::directory_iterator(data))
+      if ((entry.path().extension() == ".bsdf" || entry.path().extension() == ".binary") && entry.path().filename() != sample.filename())
+        files.push_back(entry.path());
+  std::sort(files.begin() + 1, files.end());
+  fmt::print("film                                    lobes  mean |ln|  robust cost   least of {} SciPy starts\n", starts);
+  for (const auto& file : files) {
+    const auto film = brdf::load_brdf(file);
+    const auto* measured = dynamic_cast<const brdf::TableBrdf*>(film.get());
+    const brdf::HalfAngleTable table = measured ? measured->table() : brdf::tabulate_brdf(*film, 0.087);
+    for (int n = 1; n <= (smoke ? 1 : 3); ++n) {
+      const fit::FitOptions options{.n_lobes = n, .max_cells = 3000, .energy_weight = 0, .limit_groups = false};
+      const fit::FitResult fit = fit::fit_table(table, options);
+      fit::Observations cells = fit::observe(table, fit::stratified_choice(fit::usable_cells(table, options), options.max_cells));
+      fit::weigh(cells, options.model_sigma, &fit.model);
+      const fit::Objective objective(cells, fit::ParameterLayout(3, n), {});
+      const double ours = fit::minimise(objective, objective.layout().pack(fit.model), {}).cost;  // the weights followed the model
+      fmt::print("{:<40} {:>4}   {:8.4f}   {:11.6g}   {:11.6g}\n", file.filename().string(), n, fit.mean_abs_log, ours, scipy_film(cells, n, starts, folder));
+      std::fflush(stdout);
+    }
+    if (smoke) return;
+    const fit::FitResult chosen = fit::fit_table(table, {.max_cells = 30000});
+    for (const fit::Candidate& c : chosen.candidates)
+      fmt::print("    {:<60} mean |ln| {:.4f}  criterion {:+.4g}\n", c.structure, c.mean_abs_log, c.criterion);
+  }
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -183,9 +243,12 @@ int main(int argc, char** argv) {
   app.add_option("--scipy-limit-s", limit_s, "SciPy is stopped after this time")->capture_default_str();
   app.add_option("--folder", folder, "for temporary files")->capture_default_str();
   app.add_option("--plot", plot, "SVG or PNG of time and error");
+  bool only_films = false;
+  app.add_flag("--films", only_films, "only the measured films");
   CLI11_PARSE(app, argc, argv);
+  if (only_films) return films(folder, 6, false), 0;
   speed(folder, plot, limit_s, smoke);
-  if (smoke) return coverage(2, 1000), 0;
+  if (smoke) return coverage(2, 1000), films(folder, 1, true), 0;
   selection(brdf::TableGrid::n_cells);
   coverage(repeats, 40000);
 }

@@ -77,6 +77,46 @@ TEST(HardCases, NoDiffusePartSoThatTheModelUnderflows) {
   EXPECT_LE(fit.model.kd.x, 1e-6);
 }
 
+/// Everything above `level` clipped there, as a sensor does whose shortest exposure is too long.
+brdf::HalfAngleTable clipped_at(brdf::HalfAngleTable table, float level) {
+  for (auto& channel : table.channels)
+    for (std::size_t i = 0; i < channel.mean.size(); ++i)
+      if (channel.mean[i] > level) channel.mean[i] = level, channel.origin[i] = brdf::CellOrigin::clipped;
+  return table;
+}
+
+TEST(HardCases, AClippedPeakIsKnownToBeHigherThanItsBound) {
+  // A peak of 3.2 / sr that is seen up to 0.1: bounds are all that is known of its height within 1.2 m of the centre.
+  brdf::CookTorrance truth = diffuse({0.02, 0.03, 0.04});
+  truth.lobes = {{.ks = glm::dvec3(0.2), .m = 0.1, .r = 0.5}};
+  const brdf::HalfAngleTable clipped = clipped_at(with_noise(table_of(truth, 7), 0.05, 0, 3), 0.1f);
+  const fit::FitResult fit = fit::fit_table(clipped);
+  expect_sane(fit);
+  EXPECT_GT(fit.n_bounds, 1000u);
+  ASSERT_EQ(fit.model.lobes.size(), 1u);
+  for (const char* name : {"ks1.r", "m1", "r1"}) {
+    const fit::Parameter* p = nullptr;
+    for (const fit::Parameter& candidate : fit.parameters)
+      if (candidate.name == name || candidate.name + ".r" == name) p = &candidate;
+    ASSERT_TRUE(p) << name;
+    EXPECT_NEAR(p->value, name[0] == 'k' ? 0.2 : name[0] == 'm' ? 0.1 : 0.5, 4 * p->sigma) << name;
+  }
+}
+
+TEST(HardCases, BoundsPullOnlyFromBelow) {
+  // Diffuse 0.3 whose bounds of two cells in three lie far below (kept, no effect) or above (raise the fit).
+  const brdf::HalfAngleTable table = table_of(diffuse(glm::dvec3(0.3)), 41);
+  const auto fitted = [&](float factor) {
+    brdf::HalfAngleTable changed = table;
+    for (auto& channel : changed.channels)
+      for (std::size_t i = 0; i < channel.mean.size(); ++i)
+        if (i % 3 != 0 && channel.origin[i] == brdf::CellOrigin::measured) channel.mean[i] *= factor, channel.origin[i] = brdf::CellOrigin::clipped;
+    return fit::fit_table(changed, {.n_lobes = 0}).model.kd.x;
+  };
+  EXPECT_NEAR(fitted(0.5f), 0.3, 1e-6);
+  EXPECT_GT(fitted(1.01f), 0.3005);
+}
+
 TEST(HardCases, OneRowOfThetaDLeavesTheFresnelTermOpenAndSaysSo) {
   const auto table = filtered(table_of(one_lobe(0.2, 0.5), 1), [](const auto& c) { return c.theta_d == 20; });
   const fit::FitResult fit = fit::fit_table(table, {.n_lobes = 1, .model_sigma = 1e-3});

@@ -43,6 +43,38 @@ TEST(FitCommand, JsonOnStdoutIsWhatGoesToTheFile) {
   EXPECT_EQ(j.at("provenance").at("inputs").size(), 1u);
 }
 
+TEST(FitCommand, SeveralPaintsGiveOneTableInTheirOrder) {
+  TemporaryFolder folder;
+  const auto table = [&](const std::string& extension) {
+    const std::string file = (folder / ("paints." + extension)).string();
+    const CommandResult run = run_lacquer("-q fit " + paint_file("white") + " " + paint_file("blue") + " --max-cells 3000 --lobes 2 --table " + file +
+                                          " -o " + folder.path().string());
+    EXPECT_EQ(run.exit_code, 0) << run.err;
+    return brdf::read_text(file);
+  };
+  const std::string csv = table("csv");
+  EXPECT_EQ(csv.substr(0, 80), "paint,structure,mean_abs_log,shared_error,reduced_chi2,kd.r,kd.r_sigma,kd.g,kd.g");
+  EXPECT_LT(csv.find("\nwhite,2 lobes,"), csv.find("\nblue,2 lobes,"));
+  EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 3);
+  EXPECT_EQ(csv, table("csv")) << "the same bytes again";
+  EXPECT_NE(table("md").find("| white | r | "), std::string::npos);
+  EXPECT_NE(table("tex").find("\\begin{tabular}{llrrrrrrrr}"), std::string::npos);
+  EXPECT_EQ(brdf::read_model(folder / "white.json").lobes.size(), 2u);
+  EXPECT_EQ(run_lacquer("fit " + paint_file("white") + " --table paints.xls").exit_code, 2);
+}
+
+TEST(EvalCommand, StandardErrorsOfAFitAreThreeMoreColumns) {
+  TemporaryFolder folder;
+  const std::string fit = (folder / "fit.json").string(), directions = (folder / "d.csv").string();
+  ASSERT_EQ(run_lacquer("-q fit " + paint_file("blue") + " --max-cells 3000 --lobes 1 -o " + fit).exit_code, 0);
+  write_file(folder / "d.csv", "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg\n30,0,30,180\n95,0,10,0\n");
+  const CommandResult run = run_lacquer("eval " + fit + " --sigma --directions " + directions);
+  ASSERT_EQ(run.exit_code, 0) << run.err;
+  EXPECT_EQ(run.out.find("r,g,b,sigma_r,sigma_g,sigma_b\n"), 0u) << run.out;
+  EXPECT_NE(run.out.find("0,0,0,0,0,0\n"), std::string::npos) << run.out;
+  EXPECT_EQ(run_lacquer("eval " + paint_file("blue") + " --sigma --directions " + directions).exit_code, 1);
+}
+
 TEST(FitCommand, BadInputIsOneLineAndExitOne) {
   TemporaryFolder folder;
   const auto expect_one_line = [](const std::string& arguments, int exit_code, const std::string& text) {
