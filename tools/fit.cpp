@@ -50,6 +50,33 @@ std::string candidate_table(const fit::FitResult& fit) {
   return text + "\n";
 }
 
+std::string to_text(const std::string& input, const std::string& description, const std::string& output, const fit::FitResult& fit) {
+  std::string text = fmt::format("input        {} ({})\n\n", input, description);
+  text += parameter_table(fit, nullptr);
+  text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n",
+                      fit.mean_abs_log, fit.rms_log);
+  text += fmt::format("chi2/n       {:.4g}{}\n", fit.reduced_chi2,
+                      fit.reduced_chi2 > 1 ? "   above 1: standard errors are scaled up by its root" : "");
+  if (fit.shared_error > 0)
+    text += fmt::format("misfit       {:.2g} %   the model does not follow the paint closer; cells of one direction of light count together\n",
+                        100 * fit.shared_error);
+  text += fmt::format("energy       {:.3f}   normal-incidence albedo, largest channel{}\n", fit.energy,
+                      fit.energy > 1 ? ": IMPLAUSIBLE, more than 1" : "");
+  text += fmt::format("cells        {} of {} usable\n", fit.n_cells, fit.n_cells_available);
+  const auto& out = fit.left_out;
+  text += fmt::format(
+      "left out     {} grazing, {} not positive, {} not finite, {} not measured (cells times channels)\n",
+      out.grazing, out.not_positive, out.not_finite, out.not_measured);
+  if (fit.n_bounds > 0) text += fmt::format("bounds       {} clipped (cells times channels): the model is to be at least that\n", fit.n_bounds);
+  for (std::size_t i = 0; i < fit.minima.size(); ++i)
+    text += fmt::format("minimum {}    cost {:.6g}: {}\n", i + 1, fit.minima[i].cost, one_line(fit.minima[i].model));
+  text += candidate_table(fit);
+  text += fmt::format("solver       {}{}\n", fit.converged ? "" : "DID NOT CONVERGE: ", fit.message);
+  text += fmt::format("time         {:.2f} s\n", fit.seconds);
+  if (!output.empty()) text += fmt::format("fit          {}\n", output);
+  return text;
+}
+
 /// Where the fit of `input` goes: the file itself, or one of its name in the folder where there are several inputs.
 std::string output_of(const Options& options, const std::string& input) {
   if (options.output.empty() || options.inputs.size() == 1) return options.output;
@@ -79,33 +106,6 @@ void check(const Options& options) {
   if (options.inputs.size() > 1 && !options.output.empty() && !std::filesystem::is_directory(options.output))
     throw Error(ErrorCode::usage, fmt::format("-o: expected an existing folder for the fits of {} inputs, got {}", options.inputs.size(), options.output));
   if (options.inputs.size() > 1 && options.json) throw Error(ErrorCode::usage, "--json: expected one input");
-}
-
-std::string to_text(const std::string& input, const std::string& description, const std::string& output, const fit::FitResult& fit) {
-  std::string text = fmt::format("input        {} ({})\n\n", input, description);
-  text += parameter_table(fit, nullptr);
-  text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n",
-                      fit.mean_abs_log, fit.rms_log);
-  text += fmt::format("chi2/n       {:.4g}{}\n", fit.reduced_chi2,
-                      fit.reduced_chi2 > 1 ? "   above 1: standard errors are scaled up by its root" : "");
-  if (fit.shared_error > 0)
-    text += fmt::format("misfit       {:.2g} %   the model does not follow the paint closer; cells of one direction of light count together\n",
-                        100 * fit.shared_error);
-  text += fmt::format("energy       {:.3f}   normal-incidence albedo, largest channel{}\n", fit.energy,
-                      fit.energy > 1 ? ": IMPLAUSIBLE, more than 1" : "");
-  text += fmt::format("cells        {} of {} usable\n", fit.n_cells, fit.n_cells_available);
-  const auto& out = fit.left_out;
-  text += fmt::format(
-      "left out     {} grazing, {} not positive, {} not finite, {} not measured (cells times channels)\n",
-      out.grazing, out.not_positive, out.not_finite, out.not_measured);
-  if (fit.n_bounds > 0) text += fmt::format("bounds       {} clipped (cells times channels): the model is to be at least that\n", fit.n_bounds);
-  for (std::size_t i = 0; i < fit.minima.size(); ++i)
-    text += fmt::format("minimum {}    cost {:.6g}: {}\n", i + 1, fit.minima[i].cost, one_line(fit.minima[i].model));
-  text += candidate_table(fit);
-  text += fmt::format("solver       {}{}\n", fit.converged ? "" : "DID NOT CONVERGE: ", fit.message);
-  text += fmt::format("time         {:.2f} s\n", fit.seconds);
-  if (!output.empty()) text += fmt::format("fit          {}\n", output);
-  return text;
 }
 
 }  // namespace
