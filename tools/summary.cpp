@@ -80,12 +80,6 @@ std::string coverage_text(const calib::Tabulation& tabulation) {
       tabulation.table.channels.size() == 3 ? " (green channel)" : "");
 }
 
-std::string with_error(double value, double sigma) {
-  if (!(sigma > 0)) return fmt::format("{:.6g}", value);
-  const int decimals = std::clamp(1 - static_cast<int>(std::floor(std::log10(sigma))), 0, 12);
-  return fmt::format("{:.{}f} ± {:.{}f}", value, decimals, sigma, decimals);
-}
-
 namespace {
 
 /// What a reader must know of a parameter besides its error.

@@ -16,9 +16,6 @@ double cosine_of_degrees(const std::string& option, double degrees);
 /// Samples used and left out, cells covered.
 std::string coverage_text(const calib::Tabulation& tabulation);
 
-/// Value with its standard error, as many digits as the first two of the error: "0.05498 ± 0.00021".
-std::string with_error(double value, double sigma);
-
 /// A fitted parameter for people: value with error, the true value or "", a note or "".
 struct ParameterRow {
   std::string name, fitted, truth, note;
