@@ -208,7 +208,7 @@ std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& h
     for (int attempt = 0; attempt < 48 && pattern.n >= 4; ++attempt) {
       // Where every other row is missing no known place has its neighbours like the holes do: then twice as far apart.
       if (attempt == 24)
-        for (Place& o : pattern.offset) o.d *= 2;
+        for (int k = 0; k < pattern.n; ++k) pattern.offset[static_cast<std::size_t>(k)].d *= 2;
       const int wide = attempt / 8 % 3;  // the donor of the truth: along phi_d first, where the paint changes least
       const Place donor{hole.h + below(4 * wide + 1) - 2 * wide, hole.d + below(6 * wide + 3) - 3 * wide - 1, hole.p + below(91) - 45};
       if (!kriging.known(donor)) continue;
