@@ -147,7 +147,7 @@ double overdispersion(const ParameterLayout& layout, const std::vector<double>& 
 }
 
 bool every_lobe_shows(const FitResult& result) {
-  constexpr double schlick_at_80_deg = 0.385, limit = 3;
+  constexpr double schlick_at_80_deg = 0.385, limit = 10;
   const std::size_t n = result.parameters.size();
   std::vector<bool> shows(result.model.lobes.size(), false);
   for (std::size_t i = 0; i < n; ++i) {

@@ -20,7 +20,7 @@ namespace lacquer::fit {
 void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x, const GroupedQuadratics& quadratics,
                      std::size_t n_values, double min_m, FitResult& result);
 
-/// False: a lobe's strength is within 3 standard errors of none, in every channel and both at normal incidence, ks r, and at theta_d of 80
+/// False: a lobe's strength is within 10 standard errors of none, in every channel and both at normal incidence, ks r, and at theta_d of 80
 /// degrees. What a criterion takes for a weak lobe may be errors that neighbouring cells share, beside a narrow lobe above all: these are
 /// in the standard errors. From the parameters and covariance of `result`.
 bool every_lobe_shows(const FitResult& result);

@@ -23,7 +23,10 @@ std::string padded(const std::string& text, std::size_t width) {
 
 /// `truth` with its lobes in the order of the fitted ones they resemble most: least sum of |ln(m ratio)|, weighted by the true lobe's ks,
 /// so that a lobe that hardly exists does not take another's place.
-brdf::CookTorrance matched(const brdf::CookTorrance& truth, const brdf::CookTorrance& fitted) {
+brdf::CookTorrance matched(brdf::CookTorrance truth, const brdf::CookTorrance& fitted) {
+  const auto strength = [](const auto& lobe) { return lobe.ks.x + lobe.ks.y + lobe.ks.z; };
+  while (truth.lobes.size() > fitted.lobes.size())  // the weakest have nothing to stand beside
+    truth.lobes.erase(std::min_element(truth.lobes.begin(), truth.lobes.end(), [&](const auto& a, const auto& b) { return strength(a) < strength(b); }));
   std::vector<std::size_t> order(truth.lobes.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   if (order.size() != fitted.lobes.size()) return truth;
