@@ -226,7 +226,8 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
     polish(all, objective_options, options, trials.front());
   }
   GroupedQuadratics quadratics = add_errors(all, objective_options, options, trials.front(), result);
-  while (!options.n_lobes && trials.front().structure.n_lobes > 0 && !every_lobe_shows(result)) {
+  // Where the model does not follow the paint anyway, its lobes approximate together and none of them is a claim.
+  while (!options.n_lobes && result.shared_error == 0 && trials.front().structure.n_lobes > 0 && !every_lobe_shows(result)) {
     selection.settle(trials, trials.front().structure.n_lobes - 1);
     polish(all, objective_options, options, trials.front());
     quadratics = add_errors(all, objective_options, options, trials.front(), result);

@@ -195,7 +195,8 @@ double scipy_film(const fit::Observations& observations, int n_lobes, int starts
                                           cells.string(), n_lobes, starts, answer.string());
   if (std::system(command.c_str()) != 0) return std::nan("");
   double least = std::numeric_limits<double>::infinity();
-  for (const double cost : nlohmann::json::parse(std::ifstream(answer)).at("costs")) least = std::min(least, cost);
+  const auto found = nlohmann::json::parse(std::ifstream(answer));
+  for (const double cost : found.at("costs")) least = std::min(least, cost);
   return least;
 }
 
@@ -221,7 +222,7 @@ void films(const std::filesystem::path& folder, int starts, bool smoke) {
       fit::weigh(cells, options.model_sigma, &fit.model);
       const fit::Objective objective(cells, fit::ParameterLayout(3, n), {});
       const double ours = fit::minimise(objective, objective.layout().pack(fit.model), {}).cost;  // the weights followed the model
-      fmt::print("{:<40} {:>4}   {:8.4f}   {:11.6g}   {:11.6g}\n", file.filename().string(), n, fit.mean_abs_log, ours, scipy_film(cells, n, starts, folder));
+      fmt::print("{:<40} {:>4}   {:8.4f}   {:13.9g}   {:13.9g}\n", file.filename().string(), n, fit.mean_abs_log, ours, scipy_film(cells, n, starts, folder));
       std::fflush(stdout);
     }
     if (smoke) return;
