@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include "libbrdf/error.h"
+
 #include <map>
 #include <sstream>
 
@@ -42,6 +44,9 @@ std::string color_line(const std::string& name, const glm::dvec3& c) { return fm
 }  // namespace
 
 std::string brdf_explorer_text(const CookTorrance& model, const std::string& comment) {
+  for (const auto& lobe : model.lobes)
+    if (lobe.distribution != Distribution::beckmann || lobe.fresnel != Fresnel::schlick)
+      throw Error(ErrorCode::input, ".brdf: its shader has Beckmann's distribution and Schlick's reflectance only; this model has GGX or a dielectric lobe, convert to .bsdf");
   std::string text = "analytic\n\n# " + printable(comment, 4000) + "\n\n::begin parameters\n" + color_line("kd", model.kd);
   for (std::size_t i = 0; i < model.lobes.size(); ++i) {
     text += color_line(fmt::format("ks{}", i + 1), model.lobes[i].ks);
