@@ -10,6 +10,7 @@
 #include <cmath>
 
 #include "libbrdf/error.h"
+#include "libfit/group_errors.h"
 #include "libfit/log_errors.h"
 #include "libfit/objective.h"
 #include "libfit/observations.h"
@@ -22,10 +23,11 @@
 namespace lacquer::fit {
 
 namespace {
-
 /// Cells of the subset on which starts are found and compared: enough for every parameter, few enough for
 /// seconds.
 constexpr std::size_t subset_cells = 5000;
+/// Cells on which a fit of many more is brought near its minimum, so that all of them need only the last steps.
+constexpr std::size_t middle_cells = 40000;
 /// Up to this many lobes are tried where their number is not given.
 constexpr int most_lobes_chosen = 3;
 /// Relative sigma of the subset's fits at least: far from the minimum a smaller one makes every cell an
@@ -136,19 +138,27 @@ struct Refined {
   brdf::CookTorrance model;
 };
 
-/// `start`: minimum of the subset. Sets the weights of `all`, and `shared`: shared_error.
-Refined refine(Observations& all, const ParameterLayout& layout, const brdf::CookTorrance& start, const ObjectiveOptions& objective_options,
-               const FitOptions& options, double last_insignificant, double& shared) {
+/// `start`: minimum of the subset. `middle`: fewer cells, or `all`. Sets the weights of both, and `shared`: shared_error.
+Refined refine(Observations& middle, Observations& all, const ParameterLayout& layout, const brdf::CookTorrance& start,
+               const ObjectiveOptions& objective_options, const FitOptions& options, double last_insignificant, double& shared) {
   Refined refined{.solution = {}, .model = start};
-  for (const double insignificant : {1.0, last_insignificant}) {  // the first weights are not worth more than a sigma
-    weigh(all, options.model_sigma, &refined.model);
-    shared = options.limit_groups ? shared_error(all, refined.model) : 0;
-    if (shared > 0) limit_groups(all, shared);
-    const Objective objective(all, layout, objective_options);
+  const auto weigh_by_model = [&](Observations& cells) {
+    weigh(cells, options.model_sigma, &refined.model);
+    if (shared > 0) limit_groups(cells, shared);
+  };
+  const auto round = [&](Observations& cells, double insignificant) {
+    shared = 0;
+    weigh_by_model(cells);
+    if (options.limit_groups) shared = shared_error(cells, refined.model);
+    if (shared > 0) limit_groups(cells, shared);
+    const Objective objective(cells, layout, objective_options);
     refined.solution = minimise(objective, layout.pack(refined.model), refinement(options, insignificant));
     refined.model = sorted_by_falling_m(layout.unpack(refined.solution.x));
-    refined.solution.x = layout.pack(refined.model);
-  }
+  };
+  const bool all_at_once = &middle == &all;
+  round(middle, all_at_once ? 1.0 : compared);  // the first weights are not worth more than a sigma
+  round(all, last_insignificant);
+  if (!all_at_once) weigh_by_model(middle);
   return refined;
 }
 
@@ -160,19 +170,21 @@ void polish(const Observations& all, const ObjectiveOptions& objective_options, 
   sort_by_falling_m(trial);
 }
 
-std::vector<Candidate> candidates_of(const std::vector<Trial>& trials, const Observations& all) {
-  std::vector<Candidate> candidates;
-  for (const Trial& trial : trials)
-    candidates.push_back({.model = trial.model,
+/// The trials for people, and the errors of the first one into `result`.
+void add_candidates(const std::vector<Trial>& trials, const Observations& all, FitResult& result) {
+  for (const Trial& trial : trials) {
+    const LogErrors errors = log_errors(all, trial.model);
+    if (&trial == &trials.front()) result.mean_abs_log = errors.mean, result.rms_log = errors.rms;
+    result.candidates.push_back({.model = trial.model,
                           .structure = to_text(trial.structure),
                           .n_parameters = ParameterLayout(all.n_channels, trial.structure).size(),
                           .cost = trial.solution.cost / static_cast<double>(all.n_values),
-                          .mean_abs_log = log_errors(all, trial.model).mean,
-                          .criterion = trial.criterion - trials.front().criterion});
-  return candidates;
+                          .mean_abs_log = errors.mean,
+                                 .criterion = trial.criterion - trials.front().criterion});
+  }
 }
 
-/// The chosen model with its parameters and errors into `result`.
+/// The model of `chosen` with its parameters and errors into `result`.
 GroupedQuadratics add_errors(const Observations& all, const ObjectiveOptions& objective_options, const FitOptions& options, const Trial& chosen,
                              FitResult& result) {
   const ParameterLayout layout(all.n_channels, chosen.structure);
@@ -181,6 +193,46 @@ GroupedQuadratics add_errors(const Observations& all, const ObjectiveOptions& ob
   result.model = chosen.model;
   add_uncertainty(layout, x, quadratics, all.n_values, options.min_m, result);
   return quadratics;
+}
+
+/// What the choice of structure sees of a table.
+struct Cells {
+  Observations &subset, &middle, &all;
+};
+
+/// Chooses the structure: all trials, the chosen one first. `richest`: of the most lobes, on all cells.
+std::vector<Trial> choose(const Cells& cells, std::vector<Trial> by_lobes, const Refined& richest, const ObjectiveOptions& objective_options,
+                          const FitOptions& options, FitResult& result) {
+  by_lobes.back().model = richest.model;
+  by_lobes.back().solution = richest.solution;
+  const GroupedQuadratics quadratics = add_errors(cells.all, objective_options, options, by_lobes.back(), result);
+  const ParameterLayout layout(cells.all.n_channels, by_lobes.back().structure);
+  result.overdispersion = overdispersion(layout, layout.pack(richest.model), quadratics, cells.all.n_values);
+  const int most_lobes = by_lobes.back().structure.n_lobes;
+  Selection selection(cells.subset, cells.middle, cells.all, objective_options, refinement(options, compared), options.other_forms, result.overdispersion);
+  result.parameter_price = selection.penalty(1);
+  std::vector<Trial> trials = selection.compare(by_lobes);
+  // Where the model does not follow the paint anyway, its lobes approximate together and none of them is a claim.
+  const auto has_a_lobe_too_many = [&] {
+    const int n_lobes = trials.front().structure.n_lobes;
+    return result.shared_error == 0 && n_lobes > 0 && !every_lobe_shows(result);
+  };
+  // Of the paper's forms first: a lobe that does not show is not worth trying other forms on it.
+  bool has_errors_of_front = trials.front().structure.n_lobes == most_lobes;
+  while (result.shared_error == 0 && trials.front().structure.n_lobes > 0) {
+    if (!has_errors_of_front) add_errors(cells.all, objective_options, options, trials.front(), result);
+    has_errors_of_front = false;
+    if (!has_a_lobe_too_many()) break;
+    selection.put_best_first(trials, trials.front().structure.n_lobes - 1);
+  }
+  int limit = trials.front().structure.n_lobes;
+  for (;;) {
+    selection.settle(trials, limit);
+    polish(cells.all, objective_options, options, trials.front());
+    add_errors(cells.all, objective_options, options, trials.front(), result);
+    if (!has_a_lobe_too_many()) return trials;
+    limit = trials.front().structure.n_lobes - 1;
+  }
 }
 
 FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& options,
@@ -206,36 +258,29 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
     structures.pop_back();
   check_enough(all, usable.left_out, ParameterLayout(n_channels, structures.back()));
   Observations subset = observe(table, stratified_choice(usable, std::min(options.max_cells, subset_cells)));
+  std::optional<Observations> fewer;
+  if (all.n_cells > 2 * middle_cells) fewer = observe(table, stratified_choice(usable, middle_cells));
+  Observations& middle = fewer ? *fewer : all;
   step_done(1);
   const auto minima = find_minima(subset, std::max(options.model_sigma, subset_sigma), structures, objective_options, options);
   step_done(2);
 
   const ParameterLayout richest(n_channels, structures.back());
-  const Refined refined = refine(all, richest, minima.back().front().model, objective_options, options,
+  const Refined refined = refine(middle, all, richest, minima.back().front().model, objective_options, options,
                                  options.n_lobes ? exact : compared, result.shared_error);
   step_done(3);
   std::vector<Trial> trials;
   for (std::size_t s = 0; s < structures.size(); ++s) trials.push_back({structures[s], minima[s].front().model, {}});
-  Selection selection(subset, all, objective_options, refinement(options, compared), options.other_forms);
   if (options.n_lobes) {
     trials = {{structures.back(), refined.model, refined.solution}};
+    add_errors(all, objective_options, options, trials.front(), result);
   } else {
-    trials = selection.choose(trials, refined.solution);
-    result.overdispersion = selection.overdispersion();
-    result.parameter_price = selection.penalty(1);
-    polish(all, objective_options, options, trials.front());
-  }
-  GroupedQuadratics quadratics = add_errors(all, objective_options, options, trials.front(), result);
-  // Where the model does not follow the paint anyway, its lobes approximate together and none of them is a claim.
-  while (!options.n_lobes && result.shared_error == 0 && trials.front().structure.n_lobes > 0 && !every_lobe_shows(result)) {
-    selection.settle(trials, trials.front().structure.n_lobes - 1);
-    polish(all, objective_options, options, trials.front());
-    quadratics = add_errors(all, objective_options, options, trials.front(), result);
+    trials = choose({subset, middle, all}, std::move(trials), refined, objective_options, options, result);
   }
   const Trial& chosen = trials.front();
   const ParameterLayout layout(n_channels, chosen.structure);
   result.minima = minima[static_cast<std::size_t>(chosen.structure.n_lobes - structures.front().n_lobes)];
-  result.candidates = candidates_of(trials, all);
+  add_candidates(trials, all, result);
   result.converged = chosen.solution.converged;
   result.message = chosen.solution.message;
   result.n_cells = all.n_cells;
@@ -245,11 +290,8 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   const glm::dvec3 albedo = normal_incidence_albedo(result.model);
   result.energy = std::max({albedo.x, albedo.y, albedo.z});
   if (options.profile)
-    add_profiles(Objective(all, layout, objective_options), layout.pack(result.model), quadratics.all.cost, refinement(options, exact), result);
+    add_profiles(Objective(all, layout, objective_options), layout.pack(result.model), refinement(options, exact), result);
   add_scale_error(table.scale_sigma, result);
-  const LogErrors errors = log_errors(all, result.model);
-  result.mean_abs_log = errors.mean;
-  result.rms_log = errors.rms;
   step_done(4);
   return result;
 }

@@ -60,7 +60,8 @@ class Side {
 
 }  // namespace
 
-void add_profiles(const Objective& objective, const std::vector<double>& x, double cost, const SolverOptions& solver, FitResult& result) {
+void add_profiles(const Objective& objective, const std::vector<double>& x, const SolverOptions& solver, FitResult& result) {
+  const double cost = objective.cost(x);
   const std::vector<double> lower = objective.layout().lower_bounds(solver.min_m), upper = objective.layout().upper_bounds();
   std::vector<int> wanted;
   for (int k = 0; k < objective.layout().size(); ++k)

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <numeric>
 
-#include "libfit/uncertainty.h"
+#include "libfit/group_errors.h"
 
 namespace lacquer::fit {
 
@@ -97,6 +97,13 @@ void sort_by_falling_m(Trial& trial) {
   }
 }
 
+Selection::Selection(const Observations& subset, const Observations& middle, const Observations& all, const ObjectiveOptions& objective,
+                     const SolverOptions& solver, bool other_forms, double overdispersion)
+    : subset_(subset), middle_(middle), all_(all), objective_(objective), solver_(solver), other_forms_(other_forms),
+      overdispersion_(overdispersion), share_(static_cast<double>(all.n_values) / static_cast<double>(subset.n_values)) {
+  if (&middle != &all) middle_share_ = total_weight(all) / total_weight(middle);
+}
+
 double Selection::penalty(int n) const {
   return n * std::log(std::max(2.0, static_cast<double>(all_.n_values) / overdispersion_));
 }
@@ -105,89 +112,89 @@ double Selection::criterion(double cost, const Structure& structure) const {
   return cost / overdispersion_ + penalty(n_parameters(all_.n_channels, structure));
 }
 
+Solution Selection::solved(const Observations& observations, const Structure& structure, const brdf::CookTorrance& start) const {
+  const Objective objective = this->objective(observations, structure);
+  return minimise(objective, objective.layout().pack(start), solver_);
+}
+
 Trial Selection::refined(const Structure& structure, const brdf::CookTorrance& start) const {
-  const Objective objective = this->objective(all_, structure);
-  Trial trial{.structure = structure, .model = {}, .solution = minimise(objective, objective.layout().pack(start), solver_)};
-  trial.model = objective.layout().unpack(trial.solution.x);
+  Trial trial{.structure = structure, .model = {}, .solution = solved(all_, structure, start)};
+  trial.model = ParameterLayout(all_.n_channels, structure).unpack(trial.solution.x);
   trial.criterion = criterion(trial.solution.cost, structure);
   sort_by_falling_m(trial);
   return trial;
 }
 
 std::vector<Trial> Selection::varied(const Trial& trial) const {
-  const double share = static_cast<double>(all_.n_values) / static_cast<double>(subset_.n_values);
-  const auto on_subset = [&](const Structure& structure, const brdf::CookTorrance& start) {
-    const Objective objective = this->objective(subset_, structure);
-    return minimise(objective, objective.layout().pack(start), solver_);
-  };
-  const double full = on_subset(trial.structure, trial.model).cost;
   std::vector<Variation> variations;
   for (const Structure& structure : without_one_thing(trial.structure, all_.n_channels)) variations.push_back({structure, trial.model});
   if (other_forms_)
     for (Variation& v : with_other_forms(trial.structure, trial.model)) variations.push_back(std::move(v));
-  std::vector<Solution> solutions(variations.size());
-  tbb::parallel_for(std::size_t{0}, variations.size(),
-                    [&](std::size_t i) { solutions[i] = on_subset(variations[i].structure, variations[i].start); });
+  // Fewer cells tell what is not worth more. What they promise is off by chance; what adds something must at least promise a gain.
+  const auto sieve = [&](const Observations& observations, double share) {
+    const double full = solved(observations, trial.structure, trial.model).cost;
+    std::vector<Solution> solutions(variations.size());
+    tbb::parallel_for(std::size_t{0}, variations.size(),
+                      [&](std::size_t i) { solutions[i] = solved(observations, variations[i].structure, variations[i].start); });
+    std::vector<Variation> left;
+    for (std::size_t i = 0; i < variations.size(); ++i) {
+      const Structure& structure = variations[i].structure;
+      const double loss = (solutions[i].cost - full) * share / overdispersion_;
+      const int saved = n_parameters(all_.n_channels, trial.structure) - n_parameters(all_.n_channels, structure);
+      if (loss > (saved > 0 ? hopeless * penalty(saved) : penalty(saved))) continue;
+      left.push_back({structure, ParameterLayout(all_.n_channels, structure).unpack(solutions[i].x)});
+    }
+    variations = std::move(left);
+  };
+  sieve(subset_, share_);
+  if (&middle_ != &all_ && !variations.empty()) sieve(middle_, middle_share_);
   std::vector<Trial> trials;
-  for (std::size_t i = 0; i < variations.size(); ++i) {
-    const Structure& structure = variations[i].structure;
-    const double loss = (solutions[i].cost - full) * share / overdispersion_;
-    const int saved = n_parameters(all_.n_channels, trial.structure) - n_parameters(all_.n_channels, structure);
-    // What the subset promises is off by chance; what adds something must at least promise a gain there.
-    if (loss > (saved > 0 ? hopeless * penalty(saved) : penalty(saved))) continue;
-    trials.push_back(refined(structure, ParameterLayout(all_.n_channels, structure).unpack(solutions[i].x)));
-  }
+  for (const Variation& v : variations) trials.push_back(refined(v.structure, v.start));
   return trials;
 }
 
-std::vector<Trial> Selection::choose(const std::vector<Trial>& by_lobes, const Solution& richest) {
-  const Structure& full = by_lobes.back().structure;
-  const Objective richest_objective = objective(all_, full);
-  overdispersion_ =
-      fit::overdispersion(richest_objective.layout(), richest.x, grouped_quadratics(richest_objective, richest.x), all_.n_values);
+std::vector<Trial> Selection::compare(const std::vector<Trial>& by_lobes) const {
+  const Trial& richest = by_lobes.back();
+  const bool fewer = &middle_ != &all_;
+  const double richest_cost = fewer ? solved(middle_, richest.structure, richest.model).cost : richest.solution.cost;
   std::vector<Trial> trials;
   for (const Trial& from : by_lobes) {
     Trial trial = from;
-    if (from.structure == full) {
-      trial.solution = richest;
-      trial.model = richest_objective.layout().unpack(richest.x);
-      sort_by_falling_m(trial);
-    } else {
-      const Objective objective = this->objective(all_, from.structure);
-      trial.solution = {.x = objective.layout().pack(from.model)};
-      trial.solution.cost = objective.cost(trial.solution.x);
-      const int saved = n_parameters(all_.n_channels, full) - objective.layout().size();
-      // A model of the subset is off by its errors, which cost about its parameters' number times the cells per cell of the subset. What
-      // is worse by far stays so.
-      const double share = static_cast<double>(all_.n_values) / static_cast<double>(subset_.n_values);
-      const double loss = (trial.solution.cost - richest.cost) / overdispersion_;
-      if (loss < hopeless * (penalty(saved) + share * objective.layout().size())) trial = refined(from.structure, from.model);
+    if (&from != &richest) {
+      const Solution near = solved(middle_, from.structure, from.model);
+      trial.model = ParameterLayout(all_.n_channels, from.structure).unpack(near.x);
+      const int saved = n_parameters(all_.n_channels, richest.structure) - n_parameters(all_.n_channels, from.structure);
+      if ((near.cost - richest_cost) * middle_share_ / overdispersion_ < hopeless * penalty(saved)) {
+        trial = refined(from.structure, trial.model);
+      } else {  // far worse: need not be exact
+        trial.solution = near;
+        if (fewer) trial.solution.cost = objective(all_, from.structure).cost(near.x);
+      }
     }
     trial.criterion = criterion(trial.solution.cost, trial.structure);
+    sort_by_falling_m(trial);
     trials.push_back(std::move(trial));
   }
-  settle(trials, most_lobes);
+  put_best_first(trials, most_lobes);
   return trials;
 }
 
+void Selection::put_best_first(std::vector<Trial>& trials, int n_lobes) const {
+  std::stable_sort(trials.begin(), trials.end(), [](const Trial& a, const Trial& b) { return a.criterion < b.criterion; });
+  const auto best = std::find_if(trials.begin(), trials.end(), [&](const Trial& t) { return t.structure.n_lobes <= n_lobes; });
+  std::rotate(trials.begin(), best, best + 1);
+}
+
 void Selection::settle(std::vector<Trial>& trials, int n_lobes) const {
-  const auto best = [&] {
-    const Trial* least = nullptr;
-    for (const Trial& t : trials)
-      if (t.structure.n_lobes <= n_lobes && (!least || t.criterion < least->criterion)) least = &t;
-    return *least;
-  };
-  Trial winner = best();
+  put_best_first(trials, n_lobes);
   for (;;) {
-    for (Trial& other : varied(winner))
+    const Structure winner = trials.front().structure;
+    for (Trial& other : varied(trials.front()))
       if (std::none_of(trials.begin(), trials.end(), [&](const Trial& t) { return t.structure == other.structure; }))
         trials.push_back(std::move(other));
-    const Trial next = best();
-    if (next.structure == winner.structure) break;
-    winner = next;
+    put_best_first(trials, n_lobes);
+    if (trials.front().structure == winner) return;
   }
-  std::stable_sort(trials.begin(), trials.end(), [](const Trial& a, const Trial& b) { return a.criterion < b.criterion; });
-  std::stable_partition(trials.begin(), trials.end(), [&](const Trial& t) { return t.structure == winner.structure; });
 }
 
 std::string to_text(const Structure& structure) {

@@ -22,22 +22,25 @@ struct Trial {
 /// Same lobes, ordered by falling m, with their colours.
 void sort_by_falling_m(Trial& trial);
 
-/// Chooses how many lobes, whether their colours differ from grey and whether there is a diffuse part.
+/// Compares how many lobes, whether their colours differ from grey, whether there is a diffuse part and what forms the lobes have.
 class Selection {
  public:
-  /// `subset`, `all`: the same table, fewer cells and all that are used, weighed alike for every structure.
-  Selection(const Observations& subset, const Observations& all, const ObjectiveOptions& objective, const SolverOptions& solver,
-            bool other_forms)
-      : subset_(subset), all_(all), objective_(objective), solver_(solver), other_forms_(other_forms) {}
+  /// `subset`, `middle`, `all`: the same table, ever more cells and all that are used, weighed alike for every structure; `middle` may be
+  /// `all`. `overdispersion`: see uncertainty.h.
+  Selection(const Observations& subset, const Observations& middle, const Observations& all, const ObjectiveOptions& objective,
+            const SolverOptions& solver, bool other_forms, double overdispersion);
 
-  /// Compares the numbers of lobes by their best models on the subset (`by_lobes`, fewest first, the last one the richest), then leaves
-  /// out of the winner what is not needed and, with `other_forms`, tries GGX and exact Fresnel lobe by lobe. All trials, best first. `richest`: solution of the last one on all cells.
-  std::vector<Trial> choose(const std::vector<Trial>& by_lobes, const Solution& richest);
+  /// Trials of the numbers of lobes, fewest first, with their best models on the subset; the last one, the richest, with its solution on
+  /// all cells. All of them, by rising criterion.
+  std::vector<Trial> compare(const std::vector<Trial>& by_lobes) const;
 
-  /// Puts the best trial of at most so many lobes first, after trying what may be better still; the rest by rising criterion.
+  /// Puts the best trial of at most so many lobes first; the rest by rising criterion.
+  void put_best_first(std::vector<Trial>& trials, int n_lobes) const;
+
+  /// The same after trying what may be better still: leaves out what is not needed and, with `other_forms`, tries GGX and exact Fresnel
+  /// lobe by lobe.
   void settle(std::vector<Trial>& trials, int n_lobes) const;
 
-  double overdispersion() const { return overdispersion_; }
   /// What `n` parameters must gain.
   double penalty(int n) const;
 
@@ -46,15 +49,17 @@ class Selection {
     return {observations, ParameterLayout(observations.n_channels, structure), objective_};
   }
   double criterion(double cost, const Structure& structure) const;
+  Solution solved(const Observations& observations, const Structure& structure, const brdf::CookTorrance& start) const;
   Trial refined(const Structure& structure, const brdf::CookTorrance& start) const;
   /// The structures that differ from `trial` by one thing and may be better.
   std::vector<Trial> varied(const Trial& trial) const;
 
-  const Observations &subset_, &all_;
+  const Observations &subset_, &middle_, &all_;
   ObjectiveOptions objective_;
   SolverOptions solver_;
   bool other_forms_;
-  double overdispersion_ = 1;
+  double overdispersion_;
+  double share_ = 1, middle_share_ = 1;  ///< what all cells count beside the subset and `middle`
 };
 
 /// E.g. "2 lobes, lobe 2 grey, no diffuse part".

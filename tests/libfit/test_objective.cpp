@@ -6,6 +6,7 @@
 #include <random>
 
 #include "fit_test_support.h"
+#include "libfit/group_errors.h"
 #include "libfit/objective.h"
 
 namespace lacquer::test {
