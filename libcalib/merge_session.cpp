@@ -1,7 +1,11 @@
 #include "libcalib/merge_session.h"
 
+#include <fcntl.h>
+#include <unistd.h>
+
 #include <algorithm>
-#include <future>
+#include <deque>
+#include <memory>
 #include <utility>
 
 #include "libcalib/calibration_darks.h"
@@ -13,6 +17,18 @@ namespace {
 
 /// Views whose brackets go into the response: enough to see every level, few enough to stay within seconds and in memory.
 constexpr std::size_t response_views = 4;
+
+/// Frames that the system is asked for ahead of the one being read, so that the disk is never idle.
+constexpr std::size_t frames_ahead = 12;
+
+constexpr std::size_t frames_at_once = 3;  ///< being read, checked against their checksums and decoded
+
+void ask_for(const std::filesystem::path& file) {
+  const int fd = ::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  if (fd < 0) return;  // the reader will say why
+  ::posix_fadvise(fd, 0, 0, POSIX_FADV_WILLNEED);
+  ::close(fd);
+}
 
 std::vector<acquire::RawFrame> read_bracket(const acquire::Session& session, const acquire::ViewRecord& view) {
   std::vector<acquire::RawFrame> frames;
@@ -76,10 +92,16 @@ void SessionMerger::add(const acquire::ViewRecord& view, const acquire::RawFrame
 
 void SessionMerger::finish_view(const acquire::ViewRecord& view) {
   if (view.kind == acquire::ViewKind::dark) return;
-  const RadianceImage image = merger_->finish();
+  const auto image = std::make_shared<const RadianceImage>(merger_->finish());
+  if (writing_.valid()) writing_.get();
   std::filesystem::create_directories(folder_ / "radiance");
-  write_radiance(folder_ / "radiance" / (view.id + ".exr"), image);
-  follower_.add(view, image);
+  writing_ = std::async(std::launch::async, [image, file = folder_ / "radiance" / (view.id + ".exr")] { write_radiance(file, *image); });
+  follower_.add(view, *image);
+}
+
+void SessionMerger::finish(Calibration& calibration) {
+  if (writing_.valid()) writing_.get();
+  follower_.finish(calibration);
 }
 
 void merge_session(const acquire::Session& session, Calibration& calibration, const Progress& progress) {
@@ -88,12 +110,18 @@ void merge_session(const acquire::Session& session, Calibration& calibration, co
   for (std::size_t v = 0; v < session.views.size(); ++v)
     if (session.views[v].kind != acquire::ViewKind::dark)
       for (const acquire::FrameRecord& record : session.views[v].frames) records.emplace_back(v, &record);
-  // The next frame is read while one is merged.
-  const auto read = [&](std::size_t k) { return acquire::read_session_frame(session, *records[k].second); };
-  std::future<acquire::RawFrame> next = std::async(std::launch::async, read, std::size_t{0});
-  for (std::size_t k = 0; k < records.size(); ++k) {
-    const acquire::RawFrame frame = next.get();
-    if (k + 1 < records.size()) next = std::async(std::launch::async, read, k + 1);
+  // The next frames are read while one is merged.
+  const auto read = [&](std::size_t k) {
+    if (k == 0)
+      for (std::size_t ahead = 1; ahead < std::min(frames_ahead, records.size()); ++ahead) ask_for(session.frame_path(*records[ahead].second));
+    if (k + frames_ahead < records.size()) ask_for(session.frame_path(*records[k + frames_ahead].second));
+    return acquire::read_session_frame(session, *records[k].second);
+  };
+  std::deque<std::future<acquire::RawFrame>> next;
+  for (std::size_t k = 0, asked = 0; k < records.size(); ++k) {
+    for (; asked < std::min(k + frames_at_once, records.size()); ++asked) next.push_back(std::async(std::launch::async, read, asked));
+    const acquire::RawFrame frame = next.front().get();
+    next.pop_front();
     const std::size_t v = records[k].first;
     merger.add(session.views[v], frame);
     if (k + 1 < records.size() && records[k + 1].first == v) continue;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <future>
 #include <optional>
 #include <vector>
 
@@ -32,10 +33,10 @@ class SessionMerger {
 
   /// Next frame of a view, in the order of the plan; view.exposures_s says how many there will be. Dark views: ignored.
   void add(const acquire::ViewRecord& view, const acquire::RawFrame& frame);
-  /// All frames of the view are there.
+  /// All frames of the view are there. Its file is written while the next view is merged; what goes wrong is thrown by the next call.
   void finish_view(const acquire::ViewRecord& view);
-  /// All views are merged: what the lights did goes into `calibration`.
-  void finish(Calibration& calibration) const { follower_.finish(calibration); }
+  /// All views are merged and written: what the lights did goes into `calibration`.
+  void finish(Calibration& calibration);
 
  private:
   const Calibration& calibration_;
@@ -43,9 +44,10 @@ class SessionMerger {
   LightFollower follower_;
   std::optional<BracketMerger> merger_;
   std::vector<double> times_;
+  std::future<void> writing_;
 };
 
-/// All of it from the files of a session, two frames in memory at a time; sets light_drift and drift_source of `calibration`.
+/// All of it from the files of a session, a few frames in memory at a time; sets light_drift and drift_source of `calibration`.
 void merge_session(const acquire::Session& session, Calibration& calibration, const Progress& progress);
 
 }  // namespace lacquer::calib

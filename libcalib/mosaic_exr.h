@@ -33,7 +33,7 @@ struct MosaicExrKind {
 void write_mosaic_exr(const std::filesystem::path& file, const MosaicExrKind& kind, int width, int height, acquire::PixelLayout layout,
                       const std::vector<MosaicPlane>& planes, const std::function<void(Imf::Header&)>& add_attributes = {});
 
-/// A file whose header, size and line lengths are checked before anything is allocated from them. Throws Error{file}.
+/// A file whose header and size are checked before anything is allocated from them. Throws Error{file}.
 class MosaicExrReader {
  public:
   MosaicExrReader(const std::filesystem::path& file, const MosaicExrKind& kind);
@@ -45,7 +45,7 @@ class MosaicExrReader {
   const Imf::Header& header() const { return in_.header(); }
   /// The first channel has this plane.
   bool has(const std::string& suffix) const;
-  /// Throws where a channel lacks one of the planes or has another type.
+  /// Throws where a channel lacks one of the planes or has another type, or a line has not the length that the header claims.
   void read(const std::vector<MosaicPlane>& planes);
   /// Throws Error{file} "FILE: pixel (x, y): WHAT" for value number `index`.
   [[noreturn]] void fail_at(std::size_t index, const std::string& what) const;
@@ -53,7 +53,7 @@ class MosaicExrReader {
 
  private:
   void read_size();
-  void check_lines();
+  void check_channels();
 
   std::filesystem::path file_;
   MosaicExrKind kind_;

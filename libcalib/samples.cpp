@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <future>
 #include <limits>
 #include <opencv2/imgcodecs.hpp>
 
@@ -290,9 +291,14 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
   {
     const Sampler sampler(calibration, session.rig.mask, layout, options);  // gives its memory back before the table needs it
     const std::vector<std::size_t> views = session.views_of(acquire::ViewKind::measurement);
+    // The next image is read while one is tabulated, so two are in memory.
+    const auto read = [&](std::size_t i) { return read_radiance(session.radiance_path(session.views[views[i]])); };
+    std::future<RadianceImage> next;
+    if (!views.empty()) next = std::async(std::launch::async, read, std::size_t{0});
     for (std::size_t i = 0; i < views.size(); ++i) {
-      const auto& view = session.views[views[i]];
-      counts += sampler.accumulate_view(read_radiance(session.radiance_path(view)), illumination_of(view, calibration), accumulator);
+      const RadianceImage image = next.get();
+      if (i + 1 < views.size()) next = std::async(std::launch::async, read, i + 1);
+      counts += sampler.accumulate_view(image, illumination_of(session.views[views[i]], calibration), accumulator);
       if (progress) progress("tabulate", i + 1, views.size());
     }
   }

@@ -119,7 +119,7 @@ class Sampler {
   SpherePixels pixels_;
 };
 
-/// Radiance images of a session's measurement views -> half-angle table, one image in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d
+/// Radiance images of a session's measurement views -> half-angle table, two images in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d
 /// was measured take its value, flagged `symmetric`. Errors{file} from missing radiance images name the file.
 struct Tabulation {
   brdf::HalfAngleTable table;
