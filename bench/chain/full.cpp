@@ -91,10 +91,15 @@ DiskRate measure_disk(const fs::path& folder, std::size_t bytes) {
 
 FullRun run_full(const fs::path& folder, const fs::path& rig, const fs::path& paint) {
   const fs::path session = folder / "full";
-  fs::remove_all(session);
   FullRun full;
-  std::fprintf(stderr, "simulating the frames\n");
-  command("capture", {"capture", rig.string(), "-o", session.string(), "--no-checks"});
+  if (!fs::exists(session / "session.json")) {
+    std::fprintf(stderr, "simulating the frames\n");
+    std::vector<std::string> capture{"capture", rig.string(), "-o", session.string(), "--no-checks"};
+    if (fs::exists(session)) capture.push_back("--resume");
+    command("capture", capture);
+  } else if (brdf::read_text(session / "rig.toml") != brdf::read_text(rig)) {
+    throw std::runtime_error(session.string() + " was captured by another rig file; remove it");
+  }
 
   std::vector<fs::path> frames;
   for (const auto& entry : fs::directory_iterator(session / "frames")) frames.push_back(entry.path());
@@ -113,7 +118,7 @@ FullRun run_full(const fs::path& folder, const fs::path& rig, const fs::path& pa
     full.total_s += full.stages.back().seconds;
   }
   full.mean_abs_log = brdf::compare(*brdf::load_brdf(paint), *brdf::load_brdf(session / "fit.json")).mean_abs_log;
-  fs::remove_all(session);
+  for (const char* made : {"radiance", "calibration.json", "table.exr", "fit.json"}) fs::remove_all(session / made);
   return full;
 }
 

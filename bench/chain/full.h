@@ -24,7 +24,8 @@ struct FullRun {
   std::vector<Stage> stages;
   double total_s = 0, mean_abs_log = 0;
 };
-/// Needs some 12 GB in `folder`, which it leaves empty. The frames are simulated first, which takes longer than all the rest.
+/// Needs some 12 GB in `folder`. The frames are simulated first, which takes longer than all the rest; they stay in FOLDER/full for the
+/// next run, which also goes on where one was interrupted.
 FullRun run_full(const std::filesystem::path& folder, const std::filesystem::path& rig, const std::filesystem::path& paint);
 
 }  // namespace lacquer::bench

@@ -177,7 +177,8 @@ Table full_table(const Arguments& a) {
   Table t{"full", "The paper's plan, 181 x 16 frames of 1360 x 1024 at 16 bit, from raw frames on disk to parameters", {{"stage", "seconds", "peak memory MB"}}};
   const fs::path root = LACQUER_SOURCE_DIR, rig_file = fs::path(a.folder) / "full.toml", paint = root / "data-samples" / "paints" / "polaris-silber.json";
   Setting sixteen{"", "", 0, {{"bits = 12", "bits = 16"}, {"black_level_dn = 64", "black_level_dn = 1024"}, {"gain_e_per_dn = 4.2", "gain_e_per_dn = 0.2625"},
-                              {"../data-samples/paints/polaris-silber.json", paint.string()}}, {}, true};
+                              {"../data-samples/paints/polaris-silber.json", paint.filename().string()}}, {}, true};
+  fs::copy_file(paint, fs::path(a.folder) / paint.filename(), fs::copy_options::overwrite_existing);  // the frames may be another checkout's
   brdf::write_text_atomically(rig_file, edited(brdf::read_text(root / "rigs" / "simulated-paper.toml"), sixteen));
   const FullRun full = run_full(a.folder, rig_file, paint);
   t.rows.push_back({fmt::format("raw frames read once, {:.2f} GB, not cached", full.raw_bytes / 1e9), fmt::format("{:.1f}", full.read_once_s), ""});
@@ -241,8 +242,8 @@ int main(int argc, char** argv) {
   Arguments a;
   app.add_flag("--quick", a.quick, "two paints, two values per knob");
   app.add_flag("--smoke", a.smoke, "a tiny session: that it runs");
-  app.add_flag("--full", a.full, "also the paper's plan from raw frames on disk (12 GB in --folder, many minutes)");
-  app.add_option("--folder", a.folder, "for sessions, removed afterwards");
+  app.add_flag("--full", a.full, "also the paper's plan from raw frames on disk (12 GB in --folder, minutes the first time)");
+  app.add_option("--folder", a.folder, "for sessions; the frames of --full stay in it for the next run");
   app.add_option("--document", a.document, "Markdown file whose tables are replaced");
   app.add_option("--plot", a.plot, "error against time, .svg or .png");
   app.add_option("--revision", a.revision, "revision of the sources, for the record");
