@@ -15,6 +15,7 @@
 #include "libbrdf/files.h"
 #include "libcalib/lens_calibration.h"
 #include "tools/calibrate_parts.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -24,7 +25,7 @@ struct Options {
   std::vector<std::string> boards;
   std::string size, model = "opencv8", layout = "mono", finder = "opencv", output;
   double square_mm = 0;
-  bool no_warp = false, keep_outliers = false, json = false;
+  bool no_warp = false, keep_outliers = false;
   calib::LensOptions lens;
 };
 
@@ -112,10 +113,10 @@ Found find_boards(const std::vector<std::string>& files, const calib::BoardShape
   return found;
 }
 
-void print_json(const calib::LensCalibration& c, const Found& found, double seconds, const Options& o) {
+void print_result_json(const calib::LensCalibration& c, const Found& found, double seconds, const Options& o, const Context& context) {
   using Json = nlohmann::ordered_json;
   const auto uncertainty = [](const calib::PixelUncertainty& u) { return Json{{"centre", u.centre}, {"mean", u.mean}, {"worst", u.worst}}; };
-  Json j;
+  Json j = json_result(context);
   j["model"] = c.lens.model;
   j["imagersize"] = {c.lens.width, c.lens.height};
   j["intrinsics"] = c.lens.intrinsics;
@@ -137,7 +138,7 @@ void print_json(const calib::LensCalibration& c, const Found& found, double seco
   j["warnings"] = c.warnings;
   j["seconds"] = seconds;
   j["lens"] = o.output;
-  fmt::print("{}\n", j.dump());
+  print_json(j);
 }
 
 void print_intrinsics(const acquire::Lens& lens) {
@@ -173,7 +174,7 @@ void print_text(const calib::LensCalibration& c, const Found& found, double seco
     fmt::print("  their lenses differ by {:.4f} px rms over the image ({:.4f} px expected), {:.4f} px at most\n", c.cross->difference_rms_px, c.cross->expected_rms_px,
                c.cross->worst_difference_px);
   }
-  for (const std::string& w : c.warnings) fmt::print("warning: {}\n", w);
+  for (const std::string& w : c.warnings) fmt::print("{} {}\n", emphasised("warning:", Emphasis::warning, stdout), w);
   fmt::print("lens: {}\n", o.output);
 }
 
@@ -189,8 +190,8 @@ void run(Options o, const Context& context) {
   const calib::LensCalibration c = calib::calibrate_lens(found.views, shape, found.width, found.height, o.lens);
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   brdf::write_text_atomically(o.output, acquire::cameramodel_text(c.lens, context.command_line, c.inputs));
-  if (o.json)
-    print_json(c, found, seconds, o);
+  if (context.json)
+    print_result_json(c, found, seconds, o, context);
   else
     print_text(c, found, seconds, o);
 }
@@ -210,7 +211,7 @@ void add_calibrate_camera(CLI::App& calibrate, Context& context) {
   command->add_flag("--flat-board", o->no_warp, "the board is flat: do not solve for its bend");
   command->add_flag("--keep-outliers", o->keep_outliers, "leave no corner out");
   command->add_option("-o,--output", o->output, ".cameramodel to write")->required();
-  command->add_flag("--json", o->json, "print the result as JSON");
+  add_json_option(*command, context);
   command->callback([o, &context] { run(*o, context); });
 }
 

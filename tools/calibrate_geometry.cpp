@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "libacquire/session.h"
 #include "libacquire/sim/simulated_world.h"
@@ -14,6 +15,7 @@
 #include "libcalib/geometry_session.h"
 #include "libcalib/merge_session.h"
 #include "tools/calibrate_parts.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -40,14 +42,18 @@ std::string names(const std::vector<std::string>& views) {
   return views.size() > 12 ? text + fmt::format(" and {} more", views.size() - 12) : text;
 }
 
-void print_difference(const char* name, const acquire::RigGeometry& geometry, double scale, const calib::GeometryUncertainty& uncertainty, const acquire::Session& session) {
+/// Of a simulated rig, at the angles read back.
+calib::GeometryDifference difference_from_truth(const acquire::RigGeometry& geometry, double scale, const calib::GeometryUncertainty& uncertainty, const acquire::Session& session) {
   const acquire::RigGeometry truth = acquire::sim::true_geometry(session.rig);
   std::vector<calib::ViewAngles> views;
   for (const std::size_t v : session.views_of(acquire::ViewKind::measurement)) {
     const acquire::ViewRecord& view = session.views[v];
     views.push_back({static_cast<std::size_t>(view.light), scale * view.turntable_angle + uncertainty.angle_correction(view.id), view.turntable_angle});
   }
-  const calib::GeometryDifference d = calib::geometry_difference(geometry, truth, views);
+  return calib::geometry_difference(geometry, truth, views);
+}
+
+void print_difference(const char* name, const calib::GeometryDifference& d) {
   fmt::print("  {:<10} half vector {:8.4f} deg   light {:8.4f} deg   distance {:6.3f} %   sphere centre {:7.3f} px\n", name, d.half_vector_rad / degree,
              d.light_rad / degree, 100 * d.distance, d.centre_px);
 }
@@ -72,6 +78,22 @@ void print_distant_lights(const calib::DistantLights& d) {
              j.shift_sigma_px.x, j.shift_sigma_px.y, j.radius_px, j.radius_sigma_px, j.median_off_rad / degree);
 }
 
+nlohmann::ordered_json distant_lights_json(const calib::DistantLights& d) {
+  using Json = nlohmann::ordered_json;
+  Json j{{"silhouette", {{"arcs", d.n_arcs}, {"used", d.sphere.n_edges}, {"rms_px", d.sphere.edge_rms_px}, {"centre_px", {d.centre_px.x, d.centre_px.y}}, {"radius_px", d.radius_px}}},
+         {"lights", Json::array()}, {"median_off_rad", d.median_off_rad}, {"largest_off_rad", d.largest_off_rad}};
+  for (const calib::DistantLight& light : d.lights) {
+    Json l{{"view", light.view}, {"fate", describe(light.fate)}};
+    if (light.fate == calib::HighlightFate::found)
+      l.update({{"direction", {light.direction.x, light.direction.y, light.direction.z}}, {"sigma_rad", light.sigma_rad}, {"off_rad", light.off_rad}});
+    j["lights"].push_back(std::move(l));
+  }
+  if (d.joint.solved)
+    j["joint"] = {{"turn_rad", {d.joint.turn.x, d.joint.turn.y, d.joint.turn.z}}, {"shift_px", {d.joint.shift_px.x, d.joint.shift_px.y}}, {"radius_px", d.joint.radius_px},
+                  {"median_off_rad", d.joint.median_off_rad}};
+  return j;
+}
+
 }  // namespace
 
 void print_geometry(const calib::SessionGeometry& g, const acquire::Session& session) {
@@ -91,12 +113,34 @@ void print_geometry(const calib::SessionGeometry& g, const acquire::Session& ses
   for (const auto& o : e.outliers) fmt::print("  outlier: {}: off by {:+.2f} {:+.2f} px, left out\n", o.view, o.residual.x, o.residual.y);
   fmt::print("known to (1 sigma): half vectors {:.4f} deg, lights {:.4f} deg and {:.3f} % of their distance, sphere centre {:.3f} px{}\n", e.half_vector_sigma_rad / degree,
              e.light_sigma_rad / degree, 100 * e.distance_sigma, e.centre_sigma_px, e.converged ? "" : "; the solver did NOT converge");
-  for (const std::string& w : e.warnings) fmt::print("warning: {}\n", w);
+  for (const std::string& w : e.warnings) fmt::print("{} {}\n", emphasised("warning:", Emphasis::warning, stdout), w);
   if (session.rig.kind != acquire::RigDescription::Kind::simulated) return;
   // The truth of a simulated rig enters here, for the comparison, and nowhere before.
   fmt::print("against the simulated truth, at the angles read back:\n");
-  print_difference("rig file", session.rig.geometry, 1, {}, session);
-  print_difference("estimate", e.geometry, e.turntable_scale, e.uncertainty, session);
+  print_difference("rig file", difference_from_truth(session.rig.geometry, 1, {}, session));
+  print_difference("estimate", difference_from_truth(e.geometry, e.turntable_scale, e.uncertainty, session));
+}
+
+nlohmann::ordered_json geometry_json(const calib::SessionGeometry& g, const acquire::Session& session) {
+  using Json = nlohmann::ordered_json;
+  const calib::GeometryEstimate& e = g.estimate;
+  Json j{{"parameters", Json::array()}};
+  for (const calib::GeometryParameter& p : e.uncertainty.parameters)
+    j["parameters"].push_back({{"name", p.name}, {"unit", p.unit}, {"rig_file", p.nominal}, {"estimate", p.nominal + p.correction}, {"sigma", p.sigma}});
+  j["silhouette"] = {{"arcs", g.n_arcs}, {"used", e.n_edges}, {"never_lit", g.n_dark_arcs}, {"outliers", e.n_edge_outliers}, {"rms_px", e.edge_rms_px}};
+  j["highlights"] = {{"views", g.n_views}, {"used", e.n_highlights}, {"rms_px", e.highlight_rms_px}, {"not_found", Json::object()}, {"outliers", Json::array()}};
+  for (const auto& [fate, views] : g.rejected) j["highlights"]["not_found"][describe(fate)] = views;
+  for (const auto& o : e.outliers) j["highlights"]["outliers"].push_back({{"view", o.view}, {"off_px", {o.residual.x, o.residual.y}}});
+  j["sigma"] = {{"half_vector_rad", e.half_vector_sigma_rad}, {"light_rad", e.light_sigma_rad}, {"relative_distance", e.distance_sigma}, {"centre_px", e.centre_sigma_px}};
+  j["converged"] = e.converged;
+  j["warnings"] = e.warnings;
+  if (session.rig.kind != acquire::RigDescription::Kind::simulated) return j;
+  const auto difference = [](const calib::GeometryDifference& d) {
+    return Json{{"half_vector_rad", d.half_vector_rad}, {"light_rad", d.light_rad}, {"relative_distance", d.distance}, {"centre_px", d.centre_px}};
+  };
+  j["against_truth"] = {{"rig_file", difference(difference_from_truth(session.rig.geometry, 1, {}, session))},
+                        {"estimate", difference(difference_from_truth(e.geometry, e.turntable_scale, e.uncertainty, session))}};
+  return j;
 }
 
 void add_calibrate_geometry(CLI::App& calibrate, Context& context) {
@@ -104,9 +148,11 @@ void add_calibrate_geometry(CLI::App& calibrate, Context& context) {
   CLI::App* command = calibrate.add_subcommand("geometry", "merged images -> sphere, turntable axis and lights, from silhouette and highlights");
   command->add_option("session", o->session, "session folder, merged")->required();
   command->add_flag("--from-rig", o->from_rig, "estimate nothing: take the geometry over from the session's rig file");
+  add_json_option(*command, context);
   command->callback([o, &context] {
     const acquire::Session session = acquire::read_session(o->session);
     const std::filesystem::path file = session.folder / "calibration.json";
+    auto j = json_result(context, {(session.folder / "rig.toml").string()});
     // Response, noise and drift that were found already stay.
     calib::Calibration calibration = std::filesystem::exists(file) ? calib::read_calibration(file) : calib::sensor_calibration(session, stderr_progress(context));
     if (o->from_rig) {
@@ -115,11 +161,17 @@ void add_calibrate_geometry(CLI::App& calibrate, Context& context) {
       calibration.geometry_uncertainty = {};
       calibration.turntable_scale = 1;
     } else if (calib::all_lights_distant(session.rig.geometry)) {
-      print_distant_lights(calib::find_distant_lights(session.folder.string(), session.rig.geometry, calib::geometry_views(session), calibration, {}, stderr_progress(context)));
+      const auto d = calib::find_distant_lights(session.folder.string(), session.rig.geometry, calib::geometry_views(session), calibration, {}, stderr_progress(context));
+      if (context.json) j.update(distant_lights_json(d)); else print_distant_lights(d);
     } else {
-      print_geometry(calib::estimate_geometry(session, calibration, {}, {}, stderr_progress(context)), session);
+      const calib::SessionGeometry g = calib::estimate_geometry(session, calibration, {}, {}, stderr_progress(context));
+      if (context.json) j.update(geometry_json(g, session)); else print_geometry(g, session);
     }
     calib::write_calibration(file, calibration, provenance_json(context, {(session.folder / "rig.toml").string()}));
+    if (context.json) {
+      j.update({{"geometry", calibration.geometry_source}, {"scale", calibration.scale_source}, {"calibration", file.string()}});
+      return print_json(j);
+    }
     fmt::print("geometry: {}\nscale: {}\ncalibration: {}\n", calibration.geometry_source, calibration.scale_source, file.string());
   });
 }

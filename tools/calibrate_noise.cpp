@@ -4,12 +4,15 @@
 #include <cmath>
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "libbrdf/error.h"
+#include "libbrdf/files.h"
 #include "libcalib/frame_list.h"
 #include "libcalib/noise_json.h"
 #include "libcalib/photon_transfer.h"
 #include "tools/calibrate_parts.h"
+#include "tools/json_output.h"
 #include "tools/plot.h"
 
 namespace lacquer::tools {
@@ -183,14 +186,22 @@ void run(Options o, const Context& context) {
   const PhotonTransfer t = calib::photon_transfer(series(o.darks), series(o.flats), o.measurement, stderr_progress(context));
   calib::write_noise(o.output, t, provenance_json(context, input_files(o)));
   if (!o.maps.empty() && !t.maps.empty()) calib::write_sensor_maps(o.maps, t.maps);
+  if (!o.plot.empty()) {
+    const std::string script = plot_script(t);
+    if (script.empty()) throw Error(ErrorCode::input, fmt::format("{}: no point of the curve is above 0, there is nothing to plot", o.plot));
+    gnuplot(script, o.plot);
+  }
+  if (context.json) {
+    // What the file says, and where it is.
+    auto j = nlohmann::ordered_json::parse(brdf::read_text(o.output));
+    j["file"] = o.output;
+    if (!o.maps.empty() && !t.maps.empty()) j["maps"] = o.maps;
+    return print_json(j);
+  }
   print_result(t, o);
   fmt::print("noise: {}\n", o.output);
   if (!o.maps.empty()) fmt::print("maps: {}\n", t.maps.empty() ? "not written, there is nothing to correct" : o.maps);
-  if (o.plot.empty()) return;
-  const std::string script = plot_script(t);
-  if (script.empty()) throw Error(ErrorCode::input, fmt::format("{}: no point of the curve is above 0, there is nothing to plot", o.plot));
-  gnuplot(script, o.plot);
-  fmt::print("plot: {}\n", o.plot);
+  if (!o.plot.empty()) fmt::print("plot: {}\n", o.plot);
 }
 
 }  // namespace
@@ -213,6 +224,7 @@ void add_calibrate_noise(CLI::App& calibrate, Context& context) {
   command->add_option("-o,--output", o->output, "noise.json to write")->required();
   command->add_option("--maps", o->maps, "EXR to write: offset, dark rate, sensitivity and bad values");
   command->add_option("--plot", o->plot, "SVG or PNG to write: the photon-transfer curve");
+  add_json_option(*command, context);
   command->callback([o, &context] { run(*o, context); });
 }
 

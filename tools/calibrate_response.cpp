@@ -13,6 +13,7 @@
 #include "libcalib/exposure_times.h"
 #include "libcalib/frame_list.h"
 #include "tools/calibrate_parts.h"
+#include "tools/json_output.h"
 #include "tools/plot.h"
 #include "tools/response_plot.h"
 
@@ -24,7 +25,7 @@ struct Options {
   std::string session, frames, output, plot, layout = "mono";
   int bits = 8;
   std::optional<double> black_level_dn, saturation_dn;
-  bool fit_times = false, json = false;
+  bool fit_times = false;
 };
 
 /// What the estimate is made from: brackets, where each frame came from, and the files for provenance.
@@ -128,9 +129,9 @@ void print_text(const calib::ResponseEstimate& e, const std::vector<ChannelRepor
              e.converged ? "" : " (NOT converged)", 100 * e.residual_rms, seconds);
 }
 
-void print_json(const calib::ResponseEstimate& e, const std::vector<ChannelReport>& channels, const std::vector<calib::ExposureTimes>& times,
-                const Options& o, double seconds) {
-  nlohmann::ordered_json j;
+void print_result_json(const calib::ResponseEstimate& e, const std::vector<ChannelReport>& channels, const std::vector<calib::ExposureTimes>& times,
+                       const Options& o, double seconds, const std::vector<std::string>& files, const Context& context) {
+  nlohmann::ordered_json j = json_result(context, files);
   j["linear"] = e.response.linear;
   j["bits"] = e.response.bits;
   j["channels"] = nlohmann::ordered_json::array();
@@ -152,7 +153,7 @@ void print_json(const calib::ResponseEstimate& e, const std::vector<ChannelRepor
     j["times"].push_back({{"listed_s", t.listed_s}, {"fitted_s", t.fitted_s}, {"relative_sigma", sigma}, {"false_frames", t.false_frames}});
   }
   j["response"] = o.output;
-  fmt::print("{}\n", j.dump());
+  print_json(j);
 }
 
 void run(const Options& o, const Context& context) {
@@ -177,7 +178,7 @@ void run(const Options& o, const Context& context) {
 
   calib::write_response(o.output, estimate.response, provenance_json(context, input.files));
   if (!o.plot.empty()) plot_response(estimate.response, black, o.plot);
-  if (o.json) return print_json(estimate, channels, times, o, seconds);
+  if (context.json) return print_result_json(estimate, channels, times, o, seconds, input.files, context);
   print_text(estimate, channels, input.options.black_level_dn, seconds);
   if (o.fit_times)
     for (const calib::ExposureTimes& t : times)
@@ -203,7 +204,7 @@ void add_calibrate_response(CLI::App& calibrate, Context& context) {
   command->add_option("--black-level", o->black_level_dn, "DN, default: 0, or the rig file's")->check(CLI::Range(0.0, 65535.0));
   command->add_option("--saturation", o->saturation_dn, "DN from which values are clipped, default: 2^bits - 1, or the rig file's");
   command->add_flag("--fit-times", o->fit_times, "fit the exposure times too instead of refusing false ones (gauge: the median frame, and for a curve the exponent of the listed times)");
-  command->add_flag("--json", o->json, "print the result as JSON");
+  add_json_option(*command, context);
   command->callback([o, &context] {
     if (o->session.empty() == o->frames.empty())
       throw Error(ErrorCode::usage, "calibrate response: expected a session folder or --frames list.csv");

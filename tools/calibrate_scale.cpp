@@ -3,11 +3,13 @@
 #include <cmath>
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "libacquire/session.h"
 #include "libbrdf/error.h"
 #include "libcalib/scale_reference.h"
 #include "tools/calibrate_parts.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -57,16 +59,32 @@ void print_estimate(const calib::ScaleEstimate& estimate, const calib::Calibrati
   }
 }
 
+nlohmann::ordered_json estimate_json(const calib::ScaleEstimate& estimate, const calib::Calibration& before, const std::string& file, nlohmann::ordered_json j) {
+  j["scale_sigma"] = estimate.sigma;
+  for (std::size_t l = 0; l < estimate.lights.size(); ++l) {
+    const calib::LightScale& s = estimate.lights[l];
+    const acquire::Light& light = before.geometry.lights[l];
+    const glm::dvec3 intensity = light.intensity * s.factor;
+    j["lights"].push_back({{"name", light.name}, {"unit", light.distant ? "W/m^2" : "W/sr"}, {"intensity", {intensity.x, intensity.y, intensity.z}},
+                           {"relative_sigma", {s.factor_sigma.x, s.factor_sigma.y, s.factor_sigma.z}}, {"intensity_before", {light.intensity.x, light.intensity.y, light.intensity.z}},
+                           {"falloff_exponent", s.falloff_exponent}, {"falloff_sigma", s.falloff_sigma}, {"n_used", s.n_used}, {"n_left_out", s.n_left_out}, {"rms", s.rms}});
+  }
+  j["calibration"] = file;
+  return j;
+}
+
 void run(const Options& o, const Context& context) {
   const calib::ScaleReference reference = reference_of(o);
   const acquire::Session session = acquire::read_session(o.session), white = acquire::read_session(o.white);
   const std::filesystem::path file = session.folder / "calibration.json", white_file = white.folder / "calibration.json";
   calib::Calibration calibration = calib::read_calibration(file);
+  const calib::Calibration before = calibration;
   const calib::ScaleEstimate estimate = calib::estimate_scale(white, calib::read_calibration(white_file), calibration, reference);
-  print_estimate(estimate, calibration);
   const std::string standard = o.brdf.empty() ? fmt::format("reflectance {:g}", fmt::join(o.reflectance, " ")) : std::filesystem::path(o.brdf).filename().string();
   calib::apply_scale(estimate, fmt::format("white reference, {} +- {:.2g} %", standard, 100 * o.sigma), calibration);
   calib::write_calibration(file, calibration, provenance_json(context, {white_file.string(), (white.folder / "session.json").string()}));
+  if (context.json) return print_json(estimate_json(estimate, before, file.string(), json_result(context, {white_file.string()})));
+  print_estimate(estimate, before);
   fmt::print("scale: absolute, 1/sr, known to {:.2f} % (1 sigma: reference {:.2f} %, lights between the captures {:.2f} %, scatter over the image)\ncalibration: {}\n",
              100 * estimate.sigma, 100 * o.sigma, 100 * o.light_sigma, file.string());
 }
@@ -87,6 +105,7 @@ void add_calibrate_scale(CLI::App& calibrate, Context& context) {
   command->add_option("--plate-normal", o->plate_normal, "of the plate, rig frame")->expected(3)->capture_default_str();
   command->add_option("--plate-point-mm", o->plate_point_mm, "a point of its surface, rig frame")->expected(3)->capture_default_str();
   command->add_flag("--keep-falloff", o->keep_falloff, "believe the rig file's falloff_exponent");
+  add_json_option(*command, context);
   command->callback([o, &context] { run(*o, context); });
 }
 

@@ -3,6 +3,7 @@
 #include <chrono>
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <string>
 
 #include "libacquire/open_rig.h"
@@ -12,8 +13,8 @@
 #include "libcalib/merge_session.h"
 #include "tools/capture_guard.h"
 #include "tools/capture_guided.h"
-#include "tools/command.h"
 #include "tools/dry_run.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -63,8 +64,14 @@ void run(const Options& options, const Context& context) {
   });
   std::size_t n_frames = 0;
   for (const acquire::ViewRecord& view : session.views) n_frames += view.frames.size();
-  fmt::print("{}: {} views, {} frames, {:.1f} s\n", session.folder.string(), session.views.size(), n_frames,
-             std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  if (context.json) {
+    auto j = json_result(context, {(session.folder / "rig.toml").string()});
+    j.update({{"session", session.folder.string()}, {"views", session.views.size()}, {"frames", n_frames}, {"seconds", seconds}});
+    if (rig.adaptive_loss) j["adaptive_bracket"] = bracket_json(session);
+    return print_json(j);
+  }
+  fmt::print("{}: {} views, {} frames, {:.1f} s\n", session.folder.string(), session.views.size(), n_frames, seconds);
   fmt::print("{}", options.guided() ? guide.end_text(session) : bracket_text(session));
 }
 
@@ -89,6 +96,7 @@ void add_capture(CLI::App& app, Context& context) {
   command->add_option("--every-s", options->every_s, "guided: go on after so many seconds instead of with Enter")->check(CLI::Range(0.1, 3600.0));
   for (const char* other : {"--dry-run", "--check"})
     for (CLI::Option* guided : {boards, white}) guided->excludes(command->get_option(other));
+  add_json_option(*command, context);
   command->callback([options, &context] { run(*options, context); });
 }
 

@@ -2,10 +2,13 @@
 
 #include <fmt/format.h>
 
+#include <nlohmann/json.hpp>
+
 #include "libacquire/capture_estimate.h"
 #include "libacquire/rig_check.h"
 #include "libbrdf/error.h"
 #include "tools/dry_run.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -21,17 +24,23 @@ const char* safe_state(ErrorCode code) {
 }  // namespace
 
 void print_rig_checks(acquire::Rig& rig, const acquire::RigDescription& description, const std::string& session, const Context& context) {
-  fmt::print("camera: {}\nturntable: {}\nlights: {}\n", rig.camera->description(), rig.turntable->description(), rig.lights->description());
+  if (!context.json) fmt::print("camera: {}\nturntable: {}\nlights: {}\n", rig.camera->description(), rig.turntable->description(), rig.lights->description());
   std::fflush(stdout);
   std::vector<RigCheck> checks{acquire::check_free_space(description, session)};
   const auto of_devices = acquire::check_rig(rig, description, acquire::CheckExtent::full, interruption(context));
   checks.insert(checks.end(), of_devices.begin(), of_devices.end());
   std::size_t n_failed = 0;
+  auto j = json_result(context, {description.file.string()});
+  j.update({{"camera", rig.camera->description()}, {"turntable", rig.turntable->description()}, {"lights", rig.lights->description()}});
   for (const RigCheck& check : checks) {
-    const bool failed = check.verdict == RigCheck::Verdict::failed;
+    const bool failed = check.verdict == RigCheck::Verdict::failed, warning = check.verdict == RigCheck::Verdict::warning;
     n_failed += failed;
-    fmt::print("{:<8}{}: {}\n", failed ? "FAILED" : check.verdict == RigCheck::Verdict::warning ? "warning" : "good", check.name, check.text);
+    const std::string verdict = failed ? "FAILED" : warning ? "warning" : "good";
+    j["checks"].push_back({{"name", check.name}, {"verdict", failed ? "failed" : verdict}, {"text", check.text}});
+    if (!context.json)
+      fmt::print("{}{}{}: {}\n", emphasised(verdict, failed ? Emphasis::error : warning ? Emphasis::warning : Emphasis::good, stdout), std::string(8 - verdict.size(), ' '), check.name, check.text);
   }
+  if (context.json) print_json(j);
   if (n_failed) throw Error(ErrorCode::device, fmt::format("{}: {} of {} checks failed", description.file.string(), n_failed, checks.size()));
 }
 
@@ -39,13 +48,13 @@ std::function<void(acquire::Rig&)> CaptureGuard::before_frames() {
   return [this](acquire::Rig& rig) {
     const std::string camera_warning = rig.camera->warning();
     if (!checks_ && !camera_warning.empty() && !context_.quiet)
-      fmt::print(stderr, "lacquer: note: camera: {}: {}\n", rig.camera->description(), camera_warning);
+      fmt::print(stderr, "{} camera: {}: {}\n", emphasised("lacquer: note:", Emphasis::warning, stderr), rig.camera->description(), camera_warning);
     if (checks_)
       for (const RigCheck& check : acquire::check_rig(rig, description_, acquire::CheckExtent::quick, interruption(context_))) {
         if (check.verdict == RigCheck::Verdict::failed)
           throw Error(ErrorCode::device, fmt::format("{}: {} (--no-checks captures all the same)", check.name, check.text));
         if (check.verdict == RigCheck::Verdict::warning && !context_.quiet)
-          fmt::print(stderr, "lacquer: note: {}: {}\n", check.name, check.text);
+          fmt::print(stderr, "{} {}: {}\n", emphasised("lacquer: note:", Emphasis::warning, stderr), check.name, check.text);
       }
     begun_ = true;
   };
@@ -71,6 +80,11 @@ std::string bracket_text(const acquire::Session& session) {
   const acquire::BracketSavings s = acquire::bracket_savings(session);
   return fmt::format("adaptive bracket: {} of {} frames left out, {} saved; predicted loss of sigma: {:.2f} % mean, {:.1f} % at most\n", s.n_left_out, s.n_planned,
                      duration_text(s.seconds), 100 * s.mean_loss, 100 * s.largest_loss);
+}
+
+nlohmann::ordered_json bracket_json(const acquire::Session& session) {
+  const acquire::BracketSavings s = acquire::bracket_savings(session);
+  return {{"planned", s.n_planned}, {"left_out", s.n_left_out}, {"saved_s", s.seconds}, {"predicted_mean_loss", s.mean_loss}, {"predicted_largest_loss", s.largest_loss}};
 }
 
 std::string resume_command(const std::string& command_line) {

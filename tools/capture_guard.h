@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <nlohmann/json_fwd.hpp>
 #include <string>
 
 #include "libacquire/devices.h"
@@ -35,6 +36,9 @@ class CaptureGuard {
 
 /// What the adaptive brackets of a session saved, and what it cost: one line. Empty: it has none.
 std::string bracket_text(const acquire::Session& session);
+
+/// The same in numbers.
+nlohmann::ordered_json bracket_json(const acquire::Session& session);
 
 /// Ctrl-C only: for work that has no length, or a person in it.
 Progress interruption(const Context& context);

@@ -7,7 +7,7 @@
 #include "libbrdf/brdf.h"
 #include "libbrdf/error.h"
 #include "libbrdf/physical_checks.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -19,10 +19,8 @@ nlohmann::ordered_json to_json(const brdf::Asymmetry& a) {
   return {{"n", a.n}, {"mean_abs_log", a.mean_abs_log}, {"median_abs_log", a.median_abs_log}, {"p95_abs_log", a.p95_abs_log}};
 }
 
-std::string to_json(const brdf::PhysicalChecks& checks, const std::string& input, const std::string& description, const Context& context) {
-  nlohmann::ordered_json j;
-  j["version"] = 1;
-  j.update(nlohmann::ordered_json::parse(provenance_json(context, {input})));
+nlohmann::ordered_json to_json(const brdf::PhysicalChecks& checks, const std::string& input, const std::string& description, const Context& context) {
+  nlohmann::ordered_json j = json_result(context, {input});
   j["description"] = description;
   j["reciprocity"] = to_json(checks.reciprocity);
   j["mirror"] = to_json(checks.mirror);
@@ -37,7 +35,7 @@ std::string to_json(const brdf::PhysicalChecks& checks, const std::string& input
                                 {"sigma", {r.sigma.x, r.sigma.y, r.sigma.z}},
                                 {"undefined", r.undefined},
                                 {"conserves_energy", r.conserves_energy()}});
-  return j.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+  return j;
 }
 
 std::string to_text(const brdf::PhysicalChecks& checks, double max_theta_deg) {
@@ -61,14 +59,13 @@ std::string to_text(const brdf::PhysicalChecks& checks, double max_theta_deg) {
 void add_check(CLI::App& app, Context& context) {
   struct Options {
     std::string input;
-    bool json = false;
     double max_theta_deg = 80;
     brdf::CheckOptions check;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("check", "is a BRDF physically possible? reciprocity, energy, negative values");
   command->add_option("INPUT", options->input, "any BRDF file")->required();
-  command->add_flag("--json", options->json, "one JSON object instead of lines for people");
+  add_json_option(*command, context);
   command->add_option("--max-theta-deg", options->max_theta_deg, "reciprocity: leave out directions beyond this")->capture_default_str();
   command->add_option("--resolution", options->check.resolution, "steps of theta_h in the reflectance's integral")->capture_default_str();
   command->callback([options, &context] {
@@ -76,8 +73,8 @@ void add_check(CLI::App& app, Context& context) {
     options->check.validate();
     const auto input = brdf::load_brdf(options->input);
     const brdf::PhysicalChecks checks = brdf::check_physics(*input, options->check);
-    if (options->json)
-      fmt::print("{}\n", to_json(checks, options->input, input->description(), context));
+    if (context.json)
+      print_json(to_json(checks, options->input, input->description(), context));
     else
       fmt::print("{}\n{}", input->description(), to_text(checks, options->max_theta_deg));
   });

@@ -7,7 +7,7 @@
 #include "libbrdf/brdf.h"
 #include "libbrdf/error.h"
 #include "libbrdf/metrics.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 #include "tools/report_page.h"
 #include "tools/summary.h"
 
@@ -18,7 +18,6 @@ namespace {
 struct Options {
   std::vector<std::string> files;  ///< the first is the reference
   std::string page;
-  bool json = false;
   double max_theta_deg = 80;
   brdf::CompareOptions compare;
 };
@@ -29,40 +28,20 @@ struct Compared {
   brdf::BrdfDifference difference;  ///< from the reference
 };
 
-nlohmann::ordered_json metrics_json(const brdf::BrdfDifference& d) {
-  nlohmann::ordered_json m;
-  m["mean_abs_log"] = d.mean_abs_log;
-  m["rms_log"] = d.rms_log;
-  m["bias_log"] = d.bias_log;
-  m["max_abs_log"] = d.max_abs_log;
-  m["cosine_rms"] = d.cosine_rms;
-  const auto or_null = [&](double x) { return d.n_pixels ? nlohmann::ordered_json(x) : nlohmann::ordered_json(); };
-  m["delta_e_2000_mean"] = or_null(d.delta_e_mean);
-  m["delta_e_2000_p95"] = or_null(d.delta_e_p95);
-  m["scale"] = d.scale;
-  m["n_directions"] = d.n_directions;
-  m["n_undefined"] = d.n_undefined;
-  m["n_nonpositive"] = d.n_nonpositive;
-  m["n_pixels"] = d.n_pixels;
-  return m;
-}
-
 /// {"version": 1, "software", "command", "inputs", "a", "b", "max_theta_deg", "metrics"}; with more than two files also "others": [{"file",
 /// "description", "metrics"}] of the third and following.
-std::string to_json(const Options& options, const Context& context, const brdf::Brdf& a, const std::vector<Compared>& others) {
-  nlohmann::ordered_json j;
-  j["version"] = 1;
-  j.update(nlohmann::ordered_json::parse(provenance_json(context, options.files)));
+nlohmann::ordered_json result_json(const Options& options, const Context& context, const brdf::Brdf& a, const std::vector<Compared>& others) {
+  nlohmann::ordered_json j = json_result(context, options.files);
   const auto entry = [](const std::string& file, const brdf::Brdf& brdf) { return nlohmann::ordered_json{{"file", file}, {"description", brdf.description()}}; };
   j["a"] = entry(options.files[0], a);
   j["b"] = entry(others[0].file, *others[0].brdf);
   j["max_theta_deg"] = options.max_theta_deg;
-  j["metrics"] = metrics_json(others[0].difference);
+  j["metrics"] = to_json(others[0].difference);
   for (std::size_t i = 1; i < others.size(); ++i) {
     j["others"].push_back(entry(others[i].file, *others[i].brdf));
-    j["others"].back()["metrics"] = metrics_json(others[i].difference);
+    j["others"].back()["metrics"] = to_json(others[i].difference);
   }
-  return j.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+  return j;
 }
 
 /// File and kind, the file's name once.
@@ -93,7 +72,7 @@ void add_compare(CLI::App& app, Context& context) {
       app.add_subcommand("compare", "difference between BRDF files: log ratio, RMS, dE2000");
   command->add_option("files", options->files, "A B [C...]: the reference and the BRDFs to judge: table.exr, fit.json, MERL .binary or RGL .bsdf")->required()->expected(2, 20);
   command->add_option("--page", options->page, "HTML page with plots, dE maps and lit spheres of all of them, as lacquer report");
-  command->add_flag("--json", options->json, "one JSON object instead of lines for people");
+  add_json_option(*command, context);
   command->add_flag("--scale", options->compare.scale,
                     "first scale B so that the mean ln ratio is 0 (relative measurements)");
   command
@@ -112,8 +91,8 @@ void add_compare(CLI::App& app, Context& context) {
       std::shared_ptr<const brdf::Brdf> b = brdf::load_brdf(options->files[i]);
       others.push_back({options->files[i], b, brdf::compare(*a, *b, options->compare)});
     }
-    if (options->json)
-      fmt::print("{}\n", to_json(*options, context, *a, others));
+    if (context.json)
+      print_json(result_json(*options, context, *a, others));
     else
       fmt::print("{}", to_text(*options, *a, others));
     if (!options->page.empty()) write_brdf_report(load_named_brdfs(options->files), options->page, {.probe = {}, .max_theta_deg = options->max_theta_deg});

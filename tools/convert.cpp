@@ -9,7 +9,7 @@
 #include "libbrdf/files.h"
 #include "libbrdf/metrics.h"
 #include "libbrdf/relative_error.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 #include "tools/convert_targets.h"
 #include "tools/summary.h"
 
@@ -21,7 +21,6 @@ constexpr double max_theta_deg = 75;
 
 struct Options {
   std::string input, output, format;
-  bool json = false;
   ConvertOptions convert;
 };
 
@@ -59,10 +58,8 @@ nlohmann::ordered_json to_json(const brdf::RelativeError& e) {
   return {{"mean", e.mean}, {"max", e.max}, {"n", e.n}, {"n_lost", e.n_lost}};
 }
 
-std::string to_json(const Options& options, const Context& context, const Converted& converted, const Loss& loss) {
-  nlohmann::ordered_json j;
-  j["version"] = 1;
-  j.update(nlohmann::ordered_json::parse(provenance_json(context, {options.input})));
+nlohmann::ordered_json result_json(const Options& options, const Context& context, const Converted& converted, const Loss& loss) {
+  nlohmann::ordered_json j = json_result(context, {options.input});
   j["output"] = options.output;
   j["bytes"] = std::filesystem::file_size(options.output);
   j["format"] = converted.format;
@@ -71,15 +68,8 @@ std::string to_json(const Options& options, const Context& context, const Conver
   j["max_theta_deg"] = max_theta_deg;
   j["relative_error"] = to_json(loss.everywhere);
   j["relative_error_near_specular"] = to_json(loss.near_specular);
-  auto& m = j["metrics"];
-  m["mean_abs_log"] = loss.difference.mean_abs_log;
-  m["max_abs_log"] = loss.difference.max_abs_log;
-  m["bias_log"] = loss.difference.bias_log;
-  m["cosine_rms"] = loss.difference.cosine_rms;
-  m["delta_e_2000_mean"] = loss.difference.delta_e_mean;
-  m["delta_e_2000_p95"] = loss.difference.delta_e_p95;
-  m["n_undefined"] = loss.difference.n_undefined;
-  return j.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+  j["metrics"] = tools::to_json(loss.difference);
+  return j;
 }
 
 void run(Options options, const Context& context) {
@@ -91,8 +81,8 @@ void run(Options options, const Context& context) {
   const auto source = brdf::load_brdf(options.input);
   const Converted converted = target.write(options.output, *source, options.convert);
   const Loss loss = measure_loss(*source, *converted.result);
-  if (options.json)
-    fmt::print("{}\n", to_json(options, context, converted, loss));
+  if (context.json)
+    print_json(result_json(options, context, converted, loss));
   else
     fmt::print("{}", to_text(options, converted, loss));
 }
@@ -108,7 +98,7 @@ void add_convert(CLI::App& app, Context& context) {
   command->add_flag("--sigma", options->convert.sigma, "npy: also write the standard errors, NAME.sigma.npy");
   command->add_option("--theta-i", options->convert.rgl.n_theta_i, "bsdf: incident angles")->capture_default_str();
   command->add_option("--resolution", options->convert.rgl.resolution, "bsdf: nodes of each side of the square of values")->capture_default_str();
-  command->add_flag("--json", options->json, "one JSON object instead of lines for people");
+  add_json_option(*command, context);
   command->callback([options, &context] { run(*options, context); });
 }
 

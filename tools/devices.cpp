@@ -1,11 +1,10 @@
 #include <fmt/format.h>
 
-#include <memory>
 #include <nlohmann/json.hpp>
 
 #include "libacquire/back_ends.h"
 #include "libbrdf/error.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -33,9 +32,8 @@ void look_for(const char* kind, const Table& table, std::vector<Listing>& all) {
   }
 }
 
-std::string to_json(const std::vector<Listing>& all) {
-  nlohmann::ordered_json j;
-  j["version"] = 1;
+nlohmann::ordered_json to_json(const std::vector<Listing>& all, const Context& context) {
+  nlohmann::ordered_json j = json_result(context);
   j["back_ends"] = nlohmann::ordered_json::array();
   for (const Listing& listing : all) {
     nlohmann::ordered_json b;
@@ -55,7 +53,7 @@ std::string to_json(const std::vector<Listing>& all) {
     }
     j["back_ends"].push_back(std::move(b));
   }
-  return j.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+  return j;
 }
 
 std::string to_text(const std::vector<Listing>& all) {
@@ -79,17 +77,16 @@ std::string to_text(const std::vector<Listing>& all) {
 
 }  // namespace
 
-void add_devices(CLI::App& app, Context&) {
+void add_devices(CLI::App& app, Context& context) {
   auto* command = app.add_subcommand("devices", "list cameras, turntables and GPIO chips: ids for a rig file, formats, exposures");
-  const auto json = std::make_shared<bool>(false);
-  command->add_flag("--json", *json, "one JSON object instead of lines for people");
-  command->callback([json] {
+  add_json_option(*command, context);
+  command->callback([&context] {
     std::vector<Listing> all;
     look_for("camera", acquire::camera_back_ends(), all);
     look_for("turntable", acquire::turntable_back_ends(), all);
     look_for("lights", acquire::lights_back_ends(), all);
-    if (*json)
-      fmt::print("{}\n", to_json(all));
+    if (context.json)
+      print_json(to_json(all, context));
     else
       fmt::print("{}", to_text(all));
   });

@@ -4,10 +4,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 
 #include "libacquire/capture_estimate.h"
 #include "libbrdf/error.h"
+#include "tools/json_output.h"
 #include "tools/plot.h"
 #include "tools/summary.h"
 
@@ -63,29 +66,51 @@ std::string size_text(double bytes) {
   return bytes < 1e9 ? fmt::format("{:.1f} MB", bytes * 1e-6) : fmt::format("{:.1f} GB", bytes * 1e-9);
 }
 
+struct DiskNeeds {
+  double frames = 0, radiance = 0, table = 0;  ///< bytes
+  std::string place;                           ///< the folder asked for what is free
+  std::optional<double> free;
+};
+
 /// Radiance files are uncompressed: radiance, variance and flag of 4 bytes each. Tables are compressed, and hold about 36 bytes per cell.
-std::string disk_text(const acquire::RigDescription& rig, const acquire::CaptureEstimate& estimate, const brdf::HalfAngleTable& table,
-                      const std::filesystem::path& session) {
+DiskNeeds disk_needs(const acquire::RigDescription& rig, const acquire::CaptureEstimate& estimate, const brdf::HalfAngleTable& table,
+                     const std::filesystem::path& session) {
   const auto& camera = rig.geometry.camera;
   const double values = static_cast<double>(camera.width) * camera.height * values_per_pixel(rig.sensor.layout);
-  const double radiance = static_cast<double>(estimate.n_views + estimate.n_references) * (12 * values + 1e4);
   double cells = 0;
   for (const auto& channel : table.channels)
     cells += static_cast<double>(std::count_if(channel.origin.begin(), channel.origin.end(), [](auto o) { return o != brdf::CellOrigin::empty; }));
-  const double frames = static_cast<double>(estimate.frame_bytes), all = frames + radiance + 2e6 + 36 * cells;
-  std::string text = fmt::format("disk: {} of frames; lacquer measure adds {} of radiance and about {} of table", size_text(frames),
-                                 size_text(radiance), size_text(2e6 + 36 * cells));
+  DiskNeeds disk{.frames = static_cast<double>(estimate.frame_bytes), .radiance = static_cast<double>(estimate.n_views + estimate.n_references) * (12 * values + 1e4),
+                 .table = 2e6 + 36 * cells, .place = {}, .free = {}};
   // The nearest folder that exists is on the same disk.
   std::filesystem::path place = std::filesystem::absolute(session.empty() ? std::filesystem::path(".") : session).lexically_normal();
   std::error_code status;
   while (!std::filesystem::exists(place, status) && place.has_parent_path() && place != place.parent_path()) place = place.parent_path();
   const auto space = std::filesystem::space(place, status);
-  if (status) return text + "\n";
-  const auto free = static_cast<double>(space.available);
-  text += fmt::format("; {} are free at {}", size_text(free), place.string());
-  if (free < frames) text += ": TOO LITTLE even for the frames";
-  else if (free < all) text += ": too little for lacquer measure";
+  disk.place = place.string();
+  if (!status) disk.free = static_cast<double>(space.available);
+  return disk;
+}
+
+std::string disk_text(const DiskNeeds& disk) {
+  std::string text = fmt::format("disk: {} of frames; lacquer measure adds {} of radiance and about {} of table", size_text(disk.frames), size_text(disk.radiance), size_text(disk.table));
+  if (!disk.free) return text + "\n";
+  text += fmt::format("; {} are free at {}", size_text(*disk.free), disk.place);
+  if (*disk.free < disk.frames) text += ": TOO LITTLE even for the frames";
+  else if (*disk.free < disk.frames + disk.radiance + disk.table) text += ": too little for lacquer measure";
   return text + "\n";
+}
+
+nlohmann::ordered_json dry_run_json(const acquire::RigDescription& rig, const acquire::CaptureEstimate& e, const DiskNeeds& disk, const calib::Tabulation& coverage, const Context& context) {
+  using Json = nlohmann::ordered_json;
+  Json j = json_result(context, {rig.file.string()});
+  j["rig"] = rig.name;
+  j["views"] = {{"measurement", e.n_views}, {"reference", e.n_references}, {"dark", e.n_darks}};
+  j["frames"] = e.n_frames;
+  j["seconds"] = {{"total", e.total_s()}, {"exposing", e.exposure_s}, {"reading_out", e.readout_s}, {"lights", e.lights_s}, {"turning", e.motion_s}};
+  j["bytes"] = {{"frames", disk.frames}, {"radiance", disk.radiance}, {"table", disk.table}, {"free", disk.free ? Json(*disk.free) : Json()}};
+  j["coverage"] = to_json(coverage);
+  return j;
 }
 
 void plot_map(const calib::CoverageMap& map, const acquire::RigDescription& rig, const std::filesystem::path& output) {
@@ -143,16 +168,17 @@ void print_dry_run(const acquire::RigDescription& rig, const DryRunOptions& opti
   if (!options.map.empty()) check_plot_name(options.map);
   const acquire::CaptureEstimate estimate = acquire::estimate_capture(rig);
   const calib::Tabulation coverage = calib::predict_coverage(rig, options.samples, stderr_progress(context));
-  fmt::print("{}{}{}\n", plan_text(rig, estimate), time_text(rig, estimate), disk_text(rig, estimate, coverage.table, options.session));
-  fmt::print("coverage of the table if nothing clips:\n{}\n", coverage_text(coverage));
+  const DiskNeeds disk = disk_needs(rig, estimate, coverage.table, options.session);
   const auto& channels = coverage.table.channels;
   const calib::CoverageMap map = calib::coverage_map(channels[channels.size() / 2]);
-  if (options.map.empty()) {
+  if (!options.map.empty()) plot_map(map, rig, options.map);
+  if (context.json) return print_json(dry_run_json(rig, estimate, disk, coverage, context));
+  fmt::print("{}{}{}\n", plan_text(rig, estimate), time_text(rig, estimate), disk_text(disk));
+  fmt::print("coverage of the table if nothing clips:\n{}\n", coverage_text(coverage));
+  if (options.map.empty())
     fmt::print("\ncells over phi_d, in tenths (#: all, .: none):\n{}", coverage_map_text(map));
-  } else {
-    plot_map(map, rig, options.map);
+  else
     fmt::print("map: {}\n", options.map.string());
-  }
 }
 
 }  // namespace lacquer::tools

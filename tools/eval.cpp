@@ -6,6 +6,7 @@
 #include <glm/trigonometric.hpp>
 #include <iostream>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <sstream>
 #include <string_view>
@@ -14,7 +15,7 @@
 #include "libbrdf/file_error.h"
 #include "libbrdf/files.h"
 #include "libfit/fitted_model.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -108,6 +109,23 @@ std::size_t print_values(const brdf::Brdf& brdf, const std::vector<brdf::Directi
   return n_undefined;
 }
 
+/// "values": [r, g, b] per direction or null; "sigma" likewise.
+std::size_t print_values_json(const brdf::Brdf& brdf, const std::vector<brdf::Directions>& directions, const std::optional<fit::FittedModel>& fit, nlohmann::ordered_json j) {
+  std::size_t n_undefined = 0;
+  j["unit"] = "1/sr";
+  auto& values = j["values"] = nlohmann::ordered_json::array();
+  for (const auto& d : directions) {
+    const auto f = brdf.value(d);
+    values.push_back(f ? nlohmann::ordered_json{f->r, f->g, f->b} : nlohmann::ordered_json());
+    n_undefined += !f;
+    if (!fit) continue;
+    const glm::dvec3 sigma = d.wi.z > 0 && d.wo.z > 0 ? fit::value_sigma(*fit, brdf::half_angle_cosines(d)) : glm::dvec3(0);
+    j["sigma"].push_back({sigma.r, sigma.g, sigma.b});
+  }
+  print_json(j);
+  return n_undefined;
+}
+
 }  // namespace
 
 void add_eval(CLI::App& app, Context& context) {
@@ -120,12 +138,13 @@ void add_eval(CLI::App& app, Context& context) {
   command->add_option("INPUT", options->input, "BRDF file: table.exr, fit.json, MERL .binary, RGL .bsdf")->required();
   command->add_option("--directions", options->directions, fmt::format("CSV with the header {}; - for stdin", csv_header))->required();
   command->add_flag("--sigma", options->sigma, "standard errors too, sigma_r,sigma_g,sigma_b; of a fit.json only");
+  add_json_option(*command, context);
   command->callback([options, &context] {
     const auto brdf = brdf::load_brdf(options->input);
     const auto directions = read_directions(options->directions);
     std::optional<fit::FittedModel> fit;
     if (options->sigma) fit = fit::read_fit(options->input);
-    const std::size_t n_undefined = print_values(*brdf, directions, fit);
+    const std::size_t n_undefined = context.json ? print_values_json(*brdf, directions, fit, json_result(context, {options->input})) : print_values(*brdf, directions, fit);
     if (n_undefined > 0 && !context.quiet)
       fmt::print(stderr, "{} of {} directions: {} says nothing there, the fields are empty\n", n_undefined, directions.size(),
                  brdf->description());

@@ -6,7 +6,7 @@
 #include "libbrdf/brdf.h"
 #include "libbrdf/files.h"
 #include "libbrdf/fill_table.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 #include "tools/summary.h"
 
 namespace lacquer::tools {
@@ -34,6 +34,7 @@ void add_fill(CLI::App& app, Context& context) {
   command->add_option("--model", options->model, "fit.json: for cells that cannot be interpolated, flagged modelled");
   command->add_option("--max-sigma", options->fill.max_sigma, "interpolate where the logarithm is better known than this")->capture_default_str();
   command->add_option("--max-theta-deg", options->max_theta_deg, "leave alone what is nearer to the horizon")->capture_default_str();
+  add_json_option(*command, context);
   command->callback([options, &context] {
     options->fill.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);
     options->fill.validate();
@@ -51,6 +52,12 @@ void add_fill(CLI::App& app, Context& context) {
     for (const auto& r : reports) provenance["filling"].push_back(to_json(r));
     table.provenance_json = provenance.dump();
     brdf::write_table(options->output, table);
+    if (context.json) {
+      auto j = json_result(context, inputs);
+      j["channels"] = provenance["filling"];
+      j["table"] = options->output;
+      return print_json(j);
+    }
     for (std::size_t c = 0; c < reports.size(); ++c) {
       const auto& r = reports[c];
       fmt::print("{}: {} cells measured, {} filled, {} from the mirror cell, {} from the model, {} left; known cells predicted through the same gaps: mean |ln| {:.4f}\n",

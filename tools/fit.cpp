@@ -22,7 +22,6 @@ struct Options {
   std::vector<std::string> inputs;
   std::string output, table;
   double max_theta_deg = 85;
-  bool json = false;
   fit::FitOptions fit;
 };
 
@@ -92,7 +91,7 @@ NamedFit fit_one(const Options& options, const std::string& name, const Context&
   fit::add_evaluation_costs(named.fit);
   const std::string provenance = provenance_json(context, {name}), output = output_of(options, name);
   if (!output.empty()) fit::write_fit(output, named.fit, table.absolute_scale, provenance);
-  if (options.json)
+  if (context.json)
     fmt::print("{}", fit::fit_to_json(named.fit, table.absolute_scale, provenance));
   else
     fmt::print("{}", to_text(name, input->description(), output, named.fit));
@@ -100,12 +99,12 @@ NamedFit fit_one(const Options& options, const std::string& name, const Context&
 }
 
 /// Complaints about the command line before an hour of work, not after it.
-void check(const Options& options) {
+void check(const Options& options, bool json) {
   options.fit.validate();
   if (!options.table.empty()) table_format(options.table);
   if (options.inputs.size() > 1 && !options.output.empty() && !std::filesystem::is_directory(options.output))
     throw Error(ErrorCode::usage, fmt::format("-o: expected an existing folder for the fits of {} inputs, got {}", options.inputs.size(), options.output));
-  if (options.inputs.size() > 1 && options.json) throw Error(ErrorCode::usage, "--json: expected one input");
+  if (options.inputs.size() > 1 && json) throw Error(ErrorCode::usage, "--json: expected one input");
 }
 
 }  // namespace
@@ -135,13 +134,13 @@ void add_fit(CLI::App& app, Context& context) {
       ->check(CLI::IsMember({"own", "ceres"}));
   command->add_option("--threads", o.threads, "0: all; the result does not depend on it")
       ->capture_default_str();
-  command->add_flag("--json", options->json, "the fit as JSON instead of lines for people");
+  add_json_option(*command, context);
   command->callback([options, &context] {
     options->fit.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);
-    check(*options);
+    check(*options, context.json);
     std::vector<NamedFit> fits;
     for (const std::string& input : options->inputs) {
-      if (!fits.empty() && !options->json) fmt::print("\n");
+      if (!fits.empty() && !context.json) fmt::print("\n");
       fits.push_back(fit_one(*options, input, context));
     }
     if (!options->table.empty()) brdf::write_text_atomically(options->table, fit_table_text(fits, table_format(options->table)));

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "libacquire/rig_description.h"
 #include "libbrdf/brdf.h"
@@ -10,9 +11,9 @@
 #include "libbrdf/metrics.h"
 #include "tools/calibrate_geometry.h"
 #include "tools/capture_guard.h"
-#include "tools/command.h"
 #include "tools/drift_report.h"
 #include "tools/dry_run.h"
+#include "tools/json_output.h"
 #include "tools/measure_chain.h"
 #include "tools/measure_record.h"
 #include "tools/report_page.h"
@@ -47,6 +48,31 @@ std::string stage_text(const Measurement& m) {
   return text + fmt::format(" total {:.2f} s", total);
 }
 
+/// Everything but the comparison with the truth.
+void print_text(const Measurement& m, const brdf::CookTorrance* truth) {
+  fmt::print("{}\n{}\n\n", coverage_text(m.tabulation), light_and_dark_text(m.calibration));
+  if (m.geometry) print_geometry(*m.geometry, m.session);
+  fmt::print("{}\n", parameter_table(m.fit, truth));
+  fmt::print("scale: {}\n", m.tabulation.table.absolute_scale ? "absolute, 1/sr" : "relative (no reference of known reflectance)");
+  if (const double sigma = m.tabulation.table.scale_sigma; sigma > 0)
+    fmt::print("known to {:.2g} % from following the lights; this is in the errors of kd and ks, which share it\n", 100 * sigma);
+  fmt::print("fit to the table: mean |ln(fit/table)| {:.5f} over {} cells, chi2/n {:.2f}{}\n", m.fit.mean_abs_log, m.fit.n_cells, m.fit.reduced_chi2,
+             m.fit.converged ? "" : emphasised("; the solver did NOT converge: " + m.fit.message, Emphasis::warning, stdout));
+  fmt::print("{}\n", rerender_text(m.view_errors));
+}
+
+nlohmann::ordered_json result_json(const Measurement& m, nlohmann::ordered_json j) {
+  j.update({{"views", m.n_views}, {"frames", m.n_frames}, {"seconds", nlohmann::ordered_json::object()}});
+  for (const auto& [stage, seconds] : m.seconds) j["seconds"][stage] = seconds;
+  j["coverage"] = to_json(m.tabulation);
+  j["lights_and_darks"] = light_and_dark_text(m.calibration);
+  if (m.geometry) j["geometry"] = geometry_json(*m.geometry, m.session);
+  if (m.session.rig.adaptive_loss) j["adaptive_bracket"] = bracket_json(m.session);
+  j["fit"] = nlohmann::ordered_json::parse(fit::fit_to_json(m.fit, m.tabulation.table.absolute_scale, "{}"));
+  j["photographs"] = to_json(m.view_errors);
+  return j;
+}
+
 void run(const Options& options, const Context& context) {
   const std::filesystem::path folder = options.session;
   acquire::RigDescription rig = acquire::read_rig(options.rig, options.data);
@@ -75,22 +101,24 @@ void run(const Options& options, const Context& context) {
     compare_options.scale = !m.tabulation.table.absolute_scale;
     against_truth = brdf::compare(*paint, brdf::CookTorranceBrdf(m.fit.model), compare_options);
   }
-  fmt::print("{}\n{}\n\n", coverage_text(m.tabulation), light_and_dark_text(m.calibration));
-  if (m.geometry) print_geometry(*m.geometry, m.session);
-  fmt::print("{}\n", parameter_table(m.fit, truth ? &truth->model() : nullptr));
-  fmt::print("scale: {}\n", m.tabulation.table.absolute_scale ? "absolute, 1/sr" : "relative (no reference of known reflectance)");
-  if (const double sigma = m.tabulation.table.scale_sigma; sigma > 0)
-    fmt::print("known to {:.2g} % from following the lights; this is in the errors of kd and ks, which share it\n", 100 * sigma);
-  fmt::print("fit to the table: mean |ln(fit/table)| {:.5f} over {} cells, chi2/n {:.2f}{}\n", m.fit.mean_abs_log, m.fit.n_cells,
-             m.fit.reduced_chi2, m.fit.converged ? "" : "; the solver did NOT converge: " + m.fit.message);
-  fmt::print("{}\n", rerender_text(m.view_errors));
-  if (against_truth) fmt::print("\nfit against the truth ({}):\n{}", paint->description(), difference_text(*against_truth));
-  fmt::print("\n{}{}\n", bracket_text(m.session), stage_text(m));
+  if (!context.json) {
+    print_text(m, truth ? &truth->model() : nullptr);
+    if (against_truth) fmt::print("\nfit against the truth ({}):\n{}", paint->description(), difference_text(*against_truth));
+    fmt::print("\n{}{}\nsession: {}\n", bracket_text(m.session), stage_text(m), folder.string());
+    std::fflush(stdout);
+  }
   write_measure_record(folder / "measure.json", {m.seconds, m.view_errors, coverage_text(m.tabulation)}, measure_options.provenance_json);
   if (!options.no_report) write_session_report(folder, folder / "report.html", {});
-  fmt::print("session: {}\n", folder.string());
+  const bool drift = plot_drift(m.calibration, folder / "drift.svg");
+  if (context.json) {
+    auto j = result_json(m, json_result(context, {options.rig}));
+    if (against_truth) j["against_truth"] = to_json(*against_truth);
+    j["session"] = folder.string();
+    if (!options.no_report) j["report"] = (folder / "report.html").string();
+    return print_json(j);
+  }
   if (!options.no_report) fmt::print("report: {}\n", (folder / "report.html").string());
-  if (plot_drift(m.calibration, folder / "drift.svg")) fmt::print("drift of the lights: {}\n", (folder / "drift.svg").string());
+  if (drift) fmt::print("drift of the lights: {}\n", (folder / "drift.svg").string());
 }
 
 }  // namespace
@@ -110,6 +138,7 @@ void add_measure(CLI::App& app, Context& context) {
   command->add_flag("--no-checks", options->no_checks, "begin at once, without the check of the camera's exposure");
   command->add_flag("--no-report", options->no_report, "without report.html (lacquer report writes it later)");
   command->add_flag("--dry-run", options->dry_run, "only say what it would be: plan, duration, disk space, coverage of the table");
+  add_json_option(*command, context);
   command->callback([options, &context] { run(*options, context); });
 }
 

@@ -11,13 +11,18 @@ namespace lacquer::tools {
 
 using Json = nlohmann::ordered_json;
 
+Json to_json(const std::vector<calib::ViewError>& errors) {
+  Json list = Json::array();
+  for (const auto& e : errors)
+    list.push_back({{"view", e.view}, {"n_values", e.n_values}, {"relative_rms", e.relative_rms}, {"mean_abs_log", e.mean_abs_log}, {"bias_log", e.bias_log}});
+  return list;
+}
+
 void write_measure_record(const std::filesystem::path& file, const MeasureRecord& record, const std::string& provenance_json) {
   Json j{{"version", 1}, {"coverage", record.coverage}};
   j["seconds"] = Json::array();
   for (const auto& [stage, seconds] : record.seconds) j["seconds"].push_back({{"stage", stage}, {"seconds", seconds}});
-  j["view_errors"] = Json::array();
-  for (const auto& e : record.view_errors)
-    j["view_errors"].push_back({{"view", e.view}, {"n_values", e.n_values}, {"relative_rms", e.relative_rms}, {"mean_abs_log", e.mean_abs_log}, {"bias_log", e.bias_log}});
+  j["view_errors"] = to_json(record.view_errors);
   j["provenance"] = Json::parse(provenance_json);
   brdf::write_text_atomically(file, j.dump(1) + "\n");
 }

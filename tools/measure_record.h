@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <nlohmann/json_fwd.hpp>
 #include <optional>
 #include <string>
 #include <utility>
@@ -16,6 +17,8 @@ struct MeasureRecord {
   std::vector<calib::ViewError> view_errors;            ///< the fit against every photograph
   std::string coverage;                                 ///< samples used and left out, in words
 };
+
+nlohmann::ordered_json to_json(const std::vector<calib::ViewError>& errors);
 
 void write_measure_record(const std::filesystem::path& file, const MeasureRecord& record, const std::string& provenance_json);
 /// nullopt: there is none. Throws Error{file}.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "libacquire/session.h"
 #include "libbrdf/error.h"
@@ -10,8 +11,8 @@
 #include "libcalib/frame_list.h"
 #include "libcalib/merge_session.h"
 #include "libcalib/noise_json.h"
-#include "tools/command.h"
 #include "tools/drift_report.h"
+#include "tools/json_output.h"
 
 namespace lacquer::tools {
 
@@ -36,6 +37,21 @@ void print_times(const calib::ExposureTimes& times) {
                std::count(times.false_frames.begin(), times.false_frames.end(), i) > 0 ? "  listed time is false" : "");
 }
 
+nlohmann::ordered_json photographs_json(const calib::MergedPhotographs& merged, const Options& options, nlohmann::ordered_json j) {
+  const calib::RadianceImage& image = merged.image;
+  const auto count = [&](calib::PixelFlag flag) { return std::count(image.flags.begin(), image.flags.end(), flag); };
+  j["image"] = {{"width", image.width}, {"height", image.height}, {"layout", acquire::name_of(image.layout)}, {"values", image.flags.size()},
+                {"clipped", count(calib::PixelFlag::clipped)}, {"dark", count(calib::PixelFlag::dark)}};
+  j["response"] = {{"linear", merged.response.linear}, {"estimated", merged.estimate.has_value()}};
+  if (merged.estimate)
+    j["response"].update({{"iterations", merged.estimate->iterations}, {"converged", merged.estimate->converged}, {"residual_rms", merged.estimate->residual_rms}});
+  j["noise"] = {{"estimated", merged.noise_estimated}, {"gain_e_per_dn", merged.noise.gain_e_per_dn}, {"read_noise_e", merged.noise.read_noise_e},
+                {"relative_noise", merged.noise.relative_noise}};
+  j["times"] = {{"listed_s", merged.times.listed_s}, {"fitted_s", merged.times.fitted_s}, {"relative_sigma", merged.times.sigma}, {"false_frames", merged.times.false_frames}};
+  j["radiance"] = options.output;
+  return j;
+}
+
 void run_frames(Options options, const Context& context) {
   if (options.output.empty()) throw Error(ErrorCode::usage, "-o: expected the EXR file to write, it is missing");
   const acquire::PixelLayout layout = acquire::pixel_layout_from_name(options.layout);
@@ -50,6 +66,7 @@ void run_frames(Options options, const Context& context) {
   calib::write_radiance(options.output, merged.image);
   if (!options.save_response.empty())
     calib::write_response(options.save_response, merged.response, provenance_json(context, {options.frames}));
+  if (context.json) return print_json(photographs_json(merged, options, json_result(context, {options.frames})));
   fmt::print("{}\n", flag_text(merged.image));
   if (merged.estimate)
     fmt::print("response: {}, {} iterations{}, residual {:.2f} % of exposure\n",
@@ -71,6 +88,16 @@ void run_session(const Options& options, const Context& context) {
   // Merging shows what the lights did; the rest of a calibration that was there stays as it was.
   if (!known || !calibration.drift_source.empty())
     calib::write_calibration(file, calibration, provenance_json(context, {(session.folder / "session.json").string()}));
+  if (context.json) {
+    auto j = json_result(context, {(session.folder / "session.json").string()});
+    j["views"] = session.views.size() - session.views_of(acquire::ViewKind::dark).size();
+    j["response"] = calibration.response_source;
+    j["noise"] = calibration.noise_source;
+    j["lights_and_darks"] = light_and_dark_text(calibration);
+    j["radiance"] = (session.folder / "radiance").string();
+    if (plot_drift(calibration, session.folder / "drift.svg")) j["drift"] = (session.folder / "drift.svg").string();
+    return print_json(j);
+  }
   fmt::print("{} views merged, response: {}, noise: {}\n{}\nradiance: {}\n", session.views.size() - session.views_of(acquire::ViewKind::dark).size(),
              calibration.response_source, calibration.noise_source, light_and_dark_text(calibration), (session.folder / "radiance").string());
   if (plot_drift(calibration, session.folder / "drift.svg")) fmt::print("drift of the lights: {}\n", (session.folder / "drift.svg").string());
@@ -100,6 +127,7 @@ void add_merge(CLI::App& app, Context& context) {
       ->excludes("--read-noise");
   loose(command->add_option("--maps", o->maps, "EXR of the same: offset, dark signal, flat field and bad values"));
   loose(command->add_flag("--fit-times", o->photographs.fit_times, "take the exposure times that the pixels say instead of the listed ones"));
+  add_json_option(*command, context);
   command->callback([o, &context] {
     if (o->session.empty() == o->frames.empty()) throw Error(ErrorCode::usage, "merge: expected a session folder or --frames list.csv");
     o->frames.empty() ? run_session(*o, context) : run_frames(*o, context);

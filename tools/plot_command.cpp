@@ -2,11 +2,12 @@
 
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "libbrdf/error.h"
 #include "libbrdf/files.h"
 #include "tools/brdf_plots.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 #include "tools/environment.h"
 #include "tools/report_page.h"
 
@@ -67,6 +68,12 @@ void run(const Options& o, const Context& context) {
     const Plot plot = plot_of(o, brdfs);
     gnuplot(plot.script, o.output, plot.size);
   }
+  if (context.json) {
+    auto j = json_result(context, o.files);
+    j["kind"] = o.kind;
+    j["picture"] = o.output;
+    return print_json(j);
+  }
   if (!context.quiet) fmt::print(stderr, "{}: {}\n", o.kind, o.output);
 }
 
@@ -86,6 +93,7 @@ void add_plot(CLI::App& app, Context& context) {
   command->add_option("--phi-d-deg", o->phi_d_deg, "phi_d of a slice, whole degrees")->capture_default_str()->check(CLI::Range(0, 179));
   command->add_option("--size", o->size, "pixels of a sphere")->capture_default_str()->check(CLI::Range(16, 2048));
   command->add_option("--probe", o->probe, "light probe, OpenEXR, latitude-longitude (default: the studio that comes with Lacquer)");
+  add_json_option(*command, context);
   command->callback([o, &context] { run(*o, context); });
 }
 

@@ -2,9 +2,10 @@
 
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "libbrdf/error.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 #include "tools/report_page.h"
 
 namespace lacquer::tools {
@@ -34,6 +35,7 @@ void add_report(CLI::App& app, Context& context) {
   command->add_option("-o,--output", options->output, "page to write (default: SESSION/report.html, else report.html)");
   command->add_option("--probe", options->probe, "light probe for the spheres, OpenEXR, latitude-longitude (default: the studio that comes with Lacquer)");
   command->add_option("--max-theta-deg", options->report.max_theta_deg, "comparisons leave out light and camera directions beyond this")->capture_default_str()->check(CLI::Range(1.0, 90.0));
+  add_json_option(*command, context);
   command->callback([options, &context] {
     options->report.probe = options->probe;
     const bool session = std::filesystem::is_directory(options->inputs.front());
@@ -44,6 +46,12 @@ void add_report(CLI::App& app, Context& context) {
       write_session_report(options->inputs.front(), output, options->report);
     else
       write_brdf_report(load_named_brdfs(options->inputs), output, options->report);
+    if (context.json) {
+      auto j = json_result(context, session ? std::vector<std::string>{} : options->inputs);
+      j["report"] = output.string();
+      j["bytes"] = std::filesystem::file_size(output);
+      return print_json(j);
+    }
     if (!context.quiet) fmt::print(stderr, "report: {} ({:.1f} MB)\n", output.string(), static_cast<double>(std::filesystem::file_size(output)) / 1e6);
   });
 }

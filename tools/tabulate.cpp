@@ -9,7 +9,7 @@
 #include "libbrdf/physical_checks.h"
 #include "libcalib/calibration.h"
 #include "libcalib/samples.h"
-#include "tools/command.h"
+#include "tools/json_output.h"
 #include "tools/summary.h"
 
 namespace lacquer::tools {
@@ -27,6 +27,7 @@ void add_tabulate(CLI::App& app, Context& context) {
   command->add_option("--calibration", options->calibration, "calibration to use (default: SESSION/calibration.json)");
   command->add_option("--max-theta-deg", options->max_theta_deg, "leave out light and camera directions beyond this")->capture_default_str();
   command->add_option("--edge-px", options->samples.edge_px, "leave out pixels this close to the silhouette")->capture_default_str();
+  add_json_option(*command, context);
   command->callback([options, &context] {
     const std::filesystem::path folder = options->session;
     options->samples.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);
@@ -52,6 +53,14 @@ void add_tabulate(CLI::App& app, Context& context) {
     result.table.provenance_json = provenance.dump();
     const std::filesystem::path output = options->output.empty() ? folder / "table.exr" : std::filesystem::path(options->output);
     brdf::write_table(output, result.table);
+    if (context.json) {
+      auto j = json_result(context, {(folder / "session.json").string(), calibration_file.string()});
+      j.update(to_json(result));
+      j["mirror"] = provenance["mirror"];
+      j["narrower_than_footprint"] = n_narrow;
+      j["table"] = output.string();
+      return print_json(j);
+    }
     fmt::print("{}\n{}table: {}\n", coverage_text(result), repeatability, output.string());
   });
 }
