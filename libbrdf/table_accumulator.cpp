@@ -1,5 +1,9 @@
 #include "libbrdf/table_accumulator.h"
 
+#ifdef __linux__
+#include <sys/mman.h>
+#endif
+
 #include <algorithm>
 #include <cassert>
 #include <cmath>
@@ -98,9 +102,17 @@ const ReachableCells& reachable_cells() {
 }
 
 TableAccumulator::TableAccumulator(std::size_t n_channels) {
+  // In large pages where the system has them, and written once: otherwise every page costs a fault when it is first read and another one,
+  // at which all processors stop for a moment, when it is first written.
+  constexpr std::size_t page = std::size_t{2} << 20;
+  const std::size_t bytes = (reachable_cells().size() * sizeof(CellSums) + page - 1) / page * page;
   for (std::size_t c = 0; c < n_channels; ++c) {
-    channels_.emplace_back(static_cast<CellSums*>(std::calloc(reachable_cells().size(), sizeof(CellSums))));
+    channels_.emplace_back(static_cast<CellSums*>(std::aligned_alloc(page, bytes)));
     if (!channels_.back()) throw std::bad_alloc();
+#ifdef __linux__
+    madvise(channels_.back().get(), bytes, MADV_HUGEPAGE);
+#endif
+    std::memset(static_cast<void*>(channels_.back().get()), 0, bytes);
   }
 }
 

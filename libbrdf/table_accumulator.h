@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <memory>
 #include <vector>
 
@@ -43,6 +44,29 @@ struct alignas(16) CellSums {
     mixed += s.mixed;
     count = (count + s.count) & 0x7fffffffu;
   }
+
+  /// The same for one value, four numbers at a time. `first`: variance, theta_h, theta_d, phi_d; `second`: along, across, mixed, 0.
+  void add_value(double w, double weighted_value, const float (&first)[4], const float (&second)[4]) {
+    typedef double Double2 __attribute__((vector_size(16)));
+    typedef float Float4 __attribute__((vector_size(16)));
+    typedef std::int32_t Int32x4 __attribute__((vector_size(16)));
+    if (bounds) *this = {};
+    Double2 sums;
+    Float4 place, spread, more_place, more_spread;
+    std::memcpy(&sums, &weight, sizeof sums);
+    std::memcpy(&place, &variance, sizeof place);
+    std::memcpy(&spread, &along, sizeof spread);
+    std::memcpy(&more_place, first, sizeof more_place);
+    std::memcpy(&more_spread, second, sizeof more_spread);
+    sums += Double2{w, weighted_value};
+    place += more_place;
+    const Int32x4 floats{-1, -1, -1, 0}, counted = (Int32x4)spread + Int32x4{0, 0, 0, 1};
+    spread = (Float4)((Int32x4)spread & floats) + (Float4)((Int32x4)more_spread & floats);
+    const Int32x4 both = ((Int32x4)spread & floats) | (counted & ~floats);
+    std::memcpy(&weight, &sums, sizeof sums);
+    std::memcpy(&variance, &place, sizeof place);
+    std::memcpy(&along, &both, sizeof both);
+  }
 };
 static_assert(sizeof(CellSums) == 48);
 
@@ -81,7 +105,12 @@ class TableAccumulator {
 
   /// Adds to the cell of this slot of reachable_cells().
   void add(std::size_t channel, std::uint32_t slot, const CellSums& sums) { channels_[channel][slot].add(sums); }
-  void prefetch(std::size_t channel, std::uint32_t slot) const { __builtin_prefetch(&channels_[channel][slot], 1); }
+  CellSums& cell(std::size_t channel, std::uint32_t slot) { return channels_[channel][slot]; }
+  void prefetch(std::size_t channel, std::uint32_t slot) const {
+    const CellSums& sums = channels_[channel][slot];
+    __builtin_prefetch(&sums, 1);
+    __builtin_prefetch(&sums.mixed, 1);  // a cell may lie in two cache lines
+  }
 
   /// The table; the accumulator is empty afterwards, because both at once would be large. Mirror symmetry f(phi_d) = f(pi - phi_d): with
   /// `symmetrise`, empty cells take the mirror cell's value, flagged `symmetric`.
@@ -92,7 +121,6 @@ class TableAccumulator {
     void operator()(CellSums* p) const { std::free(p); }
   };
   CellSums& at(std::size_t channel, const TableGrid::Cell& cell);
-  // A block of zeros for each channel; pages that no sample touches cost no memory.
   std::vector<std::unique_ptr<CellSums[], Free>> channels_;
 };
 

@@ -39,15 +39,35 @@ bool inside_silhouette(const acquire::RigGeometry& rig, const glm::dvec2& pixel,
   return true;
 }
 
-/// How the normal changes from pixel to pixel, in x and in y: the images of two half-pixel steps.
-std::array<glm::vec3, 2> normal_step(const acquire::RigGeometry& rig, const glm::dvec2& pixel) {
-  std::array<glm::vec3, 2> step{};
-  for (int axis = 0; axis < 2; ++axis) {
-    const glm::dvec2 half_step(axis == 0 ? 0.5 : 0.0, axis == 0 ? 0.0 : 0.5);
-    const auto before = acquire::trace(rig, pixel - half_step), after = acquire::trace(rig, pixel + half_step);
-    if (before && after) step[static_cast<std::size_t>(axis)] = glm::vec3(after->normal - before->normal);  // else on the silhouette: no sample
+/// The normals along one row of pixels, halfway between them and half a pixel above and below: how the normal changes from pixel to pixel.
+class NormalSteps {
+ public:
+  NormalSteps(const acquire::RigGeometry& rig, int y) : rig_(rig), y_(y) {}
+  /// In x and in y: images of two half-pixel steps. x must not fall from call to call. Zero on the silhouette, where no sample lies.
+  std::array<glm::dvec3, 2> at(int x) {
+    const auto before = x == next_ ? right_ : normal({x - 0.5, y_});
+    right_ = normal({x + 0.5, y_});
+    next_ = x + 1;
+    return {difference(before, right_), difference(normal({x, y_ - 0.5}), normal({x, y_ + 0.5}))};
   }
-  return step;
+
+ private:
+  using Hit = std::optional<glm::dvec3>;
+  Hit normal(const glm::dvec2& pixel) const {
+    const auto point = acquire::trace(rig_, pixel);
+    return point ? Hit(point->normal) : Hit();
+  }
+  static glm::dvec3 difference(const Hit& before, const Hit& after) { return before && after ? *after - *before : glm::dvec3(0); }
+
+  const acquire::RigGeometry& rig_;
+  int y_, next_ = -1;
+  Hit right_;
+};
+
+/// So far from the silhouette that a step of `edge_px` in any direction cannot reach it: three times the step's length to first order.
+bool well_inside(double cos_o, const std::array<glm::dvec3, 2>& step, double edge_px) {
+  const double change = cos_o * (glm::length(step[0]) + glm::length(step[1]));  // of the sine, per pixel
+  return change > 0 && std::sqrt(std::max(0.0, 1 - cos_o * cos_o)) + 3 * edge_px * change < 0.99;
 }
 
 /// Slope of the half vector against the normal, moved by one pixel: to first order ds = dh - dn in the tangent plane. Pixel area and
@@ -154,33 +174,51 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
   const acquire::RigidTransform rig_from_cam = rig.cam_from_rig.inverse();
   camera_ = central() ? rig_from_cam * glm::dvec3(0) : rig_from_cam.rotation * glm::dvec3(0, 0, -1);
 
-  std::vector<SpherePixels> rows(static_cast<std::size_t>(height));
+  struct Pixel {
+    std::uint32_t index;
+    int part;
+    glm::dvec3 normal;
+    std::array<glm::dvec3, 2> step;
+  };
+  const bool mosaic = acquire::values_per_pixel(layout) == 1 && acquire::n_channels(layout) > 1;
+  std::vector<std::vector<Pixel>> rows(static_cast<std::size_t>(height));
   std::vector<std::size_t> masked(static_cast<std::size_t>(height));
   tbb::parallel_for(0, height, [&](int y) {
+    NormalSteps steps(rig, y);
     for (int x = 0; x < width; ++x) {
       const glm::dvec2 pixel(x, y);
       const auto point = acquire::trace(rig, pixel);
       if (!point) continue;
-      const bool masked_out = (!mask_image.empty() && mask_image.at<unsigned char>(y, x) == 0) ||
-                              (mask.min_y && point->position.y < *mask.min_y) ||
-                              !inside_silhouette(rig, pixel, options_.edge_px);
       const double cos_o = glm::dot(point->normal, point->wo);
-      if (masked_out || cos_o < options_.min_cosine) {
+      const auto step = steps.at(x);
+      if ((!mask_image.empty() && mask_image.at<unsigned char>(y, x) == 0) || (mask.min_y && point->position.y < *mask.min_y) ||
+          cos_o < options_.min_cosine || !(well_inside(cos_o, step, options_.edge_px) || inside_silhouette(rig, pixel, options_.edge_px))) {
         ++masked[static_cast<std::size_t>(y)];
         continue;
       }
-      const auto step = normal_step(rig, pixel);
-      rows[static_cast<std::size_t>(y)].push_back(static_cast<std::uint32_t>(y * width + x), point->normal, step[0], step[1],
-                                                  static_cast<float>(1 / lens_transmission(calibration_, pixel)),
-                                                  static_cast<std::uint8_t>(acquire::channel_of(layout_, x, y, 0)));
+      rows[static_cast<std::size_t>(y)].push_back(
+          {static_cast<std::uint32_t>(y * width + x), mosaic ? acquire::channel_of(layout_, x, y, 0) : 0, point->normal, step});
     }
   });
+  parts_.resize(mosaic ? 3 : 1);
+  for (std::size_t part = 0; part < parts_.size(); ++part) parts_[part].channel = static_cast<int>(part);
   for (std::size_t y = 0; y < rows.size(); ++y) {
-    pixels_.append(rows[y]);
+    for (const Pixel& p : rows[y])
+      parts_[static_cast<std::size_t>(p.part)].push_back(
+          p.index, p.normal, camera_, central(), rig.sphere_radius, p.step[0], p.step[1],
+          static_cast<float>(1 / lens_transmission(calibration_, glm::dvec2(p.index % static_cast<std::uint32_t>(width), y))));
     rows[y] = {};
     n_masked_ += masked[y];
   }
-  pixels_.pad();
+  for (SpherePixels& part : parts_) part.groups.shrink_to_fit();
+  // Green, with half of the pixels, first: it keeps one of two threads as long busy as the others the other one.
+  std::stable_sort(parts_.begin(), parts_.end(), [](const SpherePixels& a, const SpherePixels& b) { return a.size > b.size; });
+}
+
+std::size_t Sampler::n_pixels() const {
+  std::size_t n = 0;
+  for (const SpherePixels& part : parts_) n += part.size;
+  return n;
 }
 
 Sampler::View Sampler::view_of(const Illumination& lighting) const {
@@ -194,21 +232,26 @@ Sampler::View Sampler::view_of(const Illumination& lighting) const {
   return view;
 }
 
-acquire::SurfacePoint Sampler::point(std::size_t i) const {
-  const glm::dvec3 normal(pixels_.normal[0][i], pixels_.normal[1][i], pixels_.normal[2][i]), position = calibration_.geometry.sphere_radius * normal;
+acquire::SurfacePoint Sampler::point(const SpherePixels& pixels, std::size_t i) const {
+  const auto& component = pixels.group(i).normal;
+  const std::size_t k = SpherePixels::lane(i);
+  const glm::dvec3 normal(component[0][k], component[1][k], component[2][k]), position = calibration_.geometry.sphere_radius * normal;
   return {position, normal, central() ? glm::normalize(camera_ - position) : camera_};
 }
 
-Sampler::Lit Sampler::light(const View& view, std::size_t i) const {
+Sampler::Lit Sampler::light(const View& view, const SpherePixels& pixels, std::size_t i) const {
   Lit lit;
-  const acquire::SurfacePoint p = point(i);
+  const acquire::SurfacePoint p = point(pixels, i);
   const auto illumination = acquire::illuminate(view.light, p);
   if (!illumination || glm::dot(p.normal, illumination->wi) < view.min_cosine) return lit;
   const auto local = acquire::to_shading_frame(p, illumination->wi);
   const double camera_distance = central() ? glm::length(camera_ - p.position) : std::numeric_limits<double>::infinity();
+  const CameraFrame frame = camera_frame(p.normal, camera_);
   std::array<glm::dvec3, 2> steps;
-  for (std::size_t axis = 0; axis < 2; ++axis)
-    for (int k = 0; k < 3; ++k) steps[axis][k] = pixels_.normal_step[axis][k][i];
+  for (std::size_t axis = 0; axis < 2; ++axis) {
+    const auto& step = pixels.group(i).step[axis];
+    steps[axis] = double{step[0][SpherePixels::lane(i)]} * frame.x + double{step[1][SpherePixels::lane(i)]} * frame.y;
+  }
   lit.directions = {local.wi, local.wo};
   lit.coordinates = brdf::half_diff(lit.directions);
   lit.footprint = half_vector_footprint(calibration_.geometry.sphere_radius, view.blur2, camera_distance, view.light, p, illumination->wi, steps,
@@ -216,7 +259,7 @@ Sampler::Lit Sampler::light(const View& view, std::size_t i) const {
   lit.irradiance = illumination->irradiance;
   const int c = view.light.intensity.y > 0 ? 1 : view.light.intensity.x > 0 ? 0 : 2;  // all channels agree
   lit.weight = lit.irradiance[c] / (view.light.intensity[c] * view.reference);
-  lit.fate = unresolved(lit.footprint, lit.coordinates.theta_h, options_.narrowest_m) ? SampleBlock::blurred : SampleBlock::used;
+  lit.fate = unresolved(lit.footprint, lit.coordinates.theta_h, options_.narrowest_m) ? PixelSample::blurred : PixelSample::used;
   return lit;
 }
 
@@ -234,25 +277,27 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, const Illumination
   SampleCounts counts;
   counts.masked = n_masked_ * per_pixel;
   std::vector<Sample> samples;
-  for (std::size_t first = 0; first < pixels_.size; first += chunk_pixels) {
+  const auto chunk = [&](const SpherePixels& pixels, std::size_t first) {
     samples.clear();
-    for (std::size_t i = first; i < std::min(first + chunk_pixels, pixels_.size); ++i) {
-      const Lit lit = light(view, i);
-      if (lit.fate != SampleBlock::used) (lit.fate == SampleBlock::blurred ? counts.blurred : counts.grazing) += per_pixel;
-      for (std::size_t k = 0; lit.fate == SampleBlock::used && k < per_pixel; ++k) {
-        const std::size_t value = pixels_.index[i] * per_pixel + k;
+    for (std::size_t i = first; i < std::min(first + chunk_pixels, pixels.size); ++i) {
+      const Lit lit = light(view, pixels, i);
+      if (lit.fate != PixelSample::used) (lit.fate == PixelSample::blurred ? counts.blurred : counts.grazing) += per_pixel;
+      for (std::size_t k = 0; lit.fate == PixelSample::used && k < per_pixel; ++k) {
+        const std::size_t value = pixels.group(i).index[SpherePixels::lane(i)] * per_pixel + k;
         const PixelFlag flag = image.flags[value];
         ++(flag == PixelFlag::clipped ? counts.clipped : flag == PixelFlag::invalid ? counts.invalid : counts.used);
         if (flag == PixelFlag::invalid) continue;
-        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels_.channel[i];
+        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels.channel;
         // f_r = radiance / irradiance
-        const double scale = double{pixels_.inverse_transmission[i]} / (calibration_.dn_per_radiance[channel] * lit.irradiance[channel]);
+        const double scale = double{pixels.group(i).inverse_transmission[SpherePixels::lane(i)]} / (calibration_.dn_per_radiance[channel] * lit.irradiance[channel]);
         samples.push_back({lit.coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, lit.weight, lit.footprint,
                            channel, flag == PixelFlag::clipped});
       }
     }
     sink(samples);
-  }
+  };
+  for (const SpherePixels& pixels : parts_)
+    for (std::size_t first = 0; first < pixels.size; first += chunk_pixels) chunk(pixels, first);
   return counts;
 }
 
@@ -264,21 +309,23 @@ Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, const Illumin
 
   Prediction prediction{std::vector<float>(n_values), std::vector<bool>(n_values)};
   std::vector<unsigned char> used(n_values);  // vector<bool> must not be written by several threads
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pixels_.size, 512), [&](const auto& range) {
-    for (std::size_t i = range.begin(); i != range.end(); ++i) {
-      const Lit lit = light(view, i);
-      if (lit.fate == SampleBlock::grazing) continue;
+  const auto predict = [&](const SpherePixels& pixels, std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i != end; ++i) {
+      const Lit lit = light(view, pixels, i);
+      if (lit.fate == PixelSample::grazing) continue;
       const auto f = paint.value(lit.directions, lit.footprint);
       if (!f) continue;
       for (std::size_t k = 0; k < per_pixel; ++k) {
-        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels_.channel[i];
-        const std::size_t value = pixels_.index[i] * per_pixel + k;
+        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels.channel;
+        const std::size_t value = pixels.group(i).index[SpherePixels::lane(i)] * per_pixel + k;
         prediction.radiance[value] = static_cast<float>((*f)[channel] * lit.irradiance[channel] * calibration_.dn_per_radiance[channel] /
-                                                        double{pixels_.inverse_transmission[i]});
+                                                        double{pixels.group(i).inverse_transmission[SpherePixels::lane(i)]});
         used[value] = 1;
       }
     }
-  });
+  };
+  for (const SpherePixels& pixels : parts_)
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pixels.size, 512), [&](const auto& range) { predict(pixels, range.begin(), range.end()); });
   std::transform(used.begin(), used.end(), prediction.used.begin(), [](unsigned char u) { return u != 0; });
   return prediction;
 }

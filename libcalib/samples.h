@@ -65,15 +65,17 @@ class Sampler {
   /// Throws Error{file} when the mask does not have the camera's size.
   Sampler(const Calibration& calibration, const acquire::MaskDescription& mask, acquire::PixelLayout layout, const SampleOptions& options);
 
-  /// Called with consecutive pieces of a view's samples, in pixel order.
+  /// Called with consecutive pieces of a view's samples, in pixel order; of a mosaic one colour after the other.
   using Sink = std::function<void(std::span<const Sample>)>;
 
   /// Samples of one view, one after the other in double. Clipped values are delivered as bounds, invalid ones only counted.
   SampleCounts sample_view(const RadianceImage& image, const Illumination& lighting, const Sink& sink) const;
 
   /// The same samples straight into a table's cells, many times faster: the cells are those of sample_view, means agree to 1e-6 and do
-  /// not depend on the number of threads: they compute, one after the other adds in the order of the pixels.
+  /// not depend on the number of threads: whoever computes, each channel's samples are added in the order of the pixels.
   SampleCounts accumulate_view(const RadianceImage& image, const Illumination& lighting, brdf::TableAccumulator& accumulator) const;
+
+  std::size_t n_pixels() const;  ///< on the sphere, neither masked nor too oblique: what each view is computed for
 
   /// Radiance (linearised DN per second) that `paint`, seen through the footprint of each pixel, would give in each value of the image;
   /// 0 where sample_view would give no
@@ -94,29 +96,27 @@ class Sampler {
   };
   /// A pixel as the light of a view meets it; unless `fate` is used or blurred the rest means nothing.
   struct Lit {
-    SampleBlock::Fate fate = SampleBlock::grazing;
+    PixelSample::Fate fate = PixelSample::grazing;
     brdf::Directions directions;
     brdf::HalfDiff coordinates;
     brdf::Footprint<double> footprint;
     glm::dvec3 irradiance;
     double weight;  ///< irradiance relative to the light's on axis
   };
-  struct Block;
   bool central() const { return calibration_.geometry.camera.projection == acquire::CameraModel::Projection::pinhole; }
   View view_of(const Illumination& lighting) const;
-  acquire::SurfacePoint point(std::size_t pixel) const;
-  Lit light(const View& view, std::size_t pixel) const;
+  acquire::SurfacePoint point(const SpherePixels& pixels, std::size_t i) const;
+  Lit light(const View& view, const SpherePixels& pixels, std::size_t i) const;
   void check(const RadianceImage& image) const;
   KernelView kernel_view(const View& view) const;
-  void resolve(const View& view, std::size_t pixel, std::size_t lane, SampleBlock& block) const;
-  void fill(const View& view, const KernelView& kernel, const RadianceImage& image, Block& block) const;
+  void resolve(const View& view, const SpherePixels& pixels, std::size_t i, PixelSample& sample) const;
 
   std::size_t n_masked_ = 0;
   Calibration calibration_;
   acquire::PixelLayout layout_;
   SampleOptions options_;
   glm::dvec3 camera_;  ///< rig frame: centre of projection; orthographic: unit direction towards the camera
-  SpherePixels pixels_;
+  std::vector<SpherePixels> parts_;  ///< of a mosaic one for each colour, the largest first; else a single one
 };
 
 /// Radiance images of a session's measurement views -> half-angle table, two images in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d
