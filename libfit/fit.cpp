@@ -106,19 +106,6 @@ std::vector<std::vector<Minimum>> find_minima(Observations& subset, double model
   return distinct;
 }
 
-/// kd and ks are proportional to the table's scale, m and r do not depend on it: its error is one more, common term of their covariance.
-void add_scale_error(double scale_sigma, FitResult& result) {
-  result.scale_sigma = scale_sigma;
-  const std::size_t n = result.parameters.size();
-  const auto scales = [&](std::size_t i) { return result.parameters[i].name[0] == 'k' && result.parameters[i].sigma > 0; };
-  for (std::size_t i = 0; i < n; ++i)
-    for (std::size_t j = 0; j < n; ++j)
-      if (scales(i) && scales(j))
-        result.covariance[i * n + j] += scale_sigma * scale_sigma * result.parameters[i].value * result.parameters[j].value;
-  for (std::size_t i = 0; i < n; ++i)
-    if (scales(i)) result.parameters[i].sigma = std::sqrt(result.covariance[i * n + i]);
-}
-
 /// SolverOptions::insignificant of the result, and where structures are only compared: 0.01 is nothing beside what a parameter must gain,
 /// and spares hundreds of steps along the valleys of a structure that has too much.
 constexpr double exact = 1e-6, compared = 0.01;

@@ -50,6 +50,7 @@ struct Parameter {
   double sigma = 0;  ///< from the covariance, 0 where not determined and for ks of a lobe that is off
   bool at_bound = false;  ///< or nearer to it than a tenth of sigma
   bool determined = true;
+  double calibration_sigma = 0;  ///< contained in sigma: of the geometry's errors, where they are known; not that of the scale
   double inflation = 1;  ///< contained in sigma: factor on what the curvature alone says
   std::optional<ProfileInterval> profile = std::nullopt;  ///< without the error of the table's scale
 };

@@ -30,6 +30,7 @@ Json parameters(const FitResult& fit) {
                                       {"sigma", p.sigma},
                                       {"at_bound", p.at_bound},
                                       {"determined", p.determined}});
+    if (p.calibration_sigma > 0) to["calibration_sigma"] = p.calibration_sigma;
     if (p.profile) {
       to["profile_68"] = {p.profile->low68, p.profile->high68};
       to["profile_95"] = {p.profile->low95, p.profile->high95};

@@ -95,6 +95,8 @@ void add_energy(const ParameterLayout& layout, const brdf::CookTorrance& model, 
   }
 }
 
+}  // namespace
+
 void add(const ChannelSums& from, int n, ChannelSums& to) {
   to.cost += from.cost;
   for (int i = 0; i < n; ++i) {
@@ -103,7 +105,12 @@ void add(const ChannelSums& from, int n, ChannelSums& to) {
   }
 }
 
-}  // namespace
+Quadratic quadratic_of(const ParameterLayout& layout, const Sums& sums, const brdf::CookTorrance& model, double energy_weight, std::size_t n_values) {
+  Quadratic q;
+  add_sums(layout, sums, q);
+  if (energy_weight > 0) add_energy(layout, model, energy_weight, n_values, q);
+  return q;
+}
 
 glm::dvec3 normal_incidence_albedo(const brdf::CookTorrance& model) {
   glm::dvec3 albedo = model.kd;
@@ -141,10 +148,7 @@ Quadratic Objective::quadratic(const std::vector<double>& x, Curvature kind) con
   Sums total;
   for (const Sums& chunk : sums)
     for (std::size_t c = 0; c < 3; ++c) add(chunk[c], 1 + 3 * layout_.n_lobes(), total[c]);
-  Quadratic q;
-  add_sums(layout_, total, q);
-  add_energy(layout_, model, options_.energy_weight, observations_->n_values, q);
-  return q;
+  return quadratic_of(layout_, total, model, options_.energy_weight, observations_->n_values);
 }
 
 GroupedQuadratics grouped_quadratics(const Objective& objective, const std::vector<double>& x) {
@@ -190,15 +194,14 @@ GroupedQuadratics grouped_quadratics(const Objective& objective, const std::vect
   for (const Group& row : rows) {
     if (!row.seen) continue;
     all.add(row, n);
-    add_sums(layout, row.sums, result.theta_h_rows.emplace_back());
+    result.theta_h_rows.push_back(quadratic_of(layout, row.sums, model, 0, 0));
   }
   for (std::size_t d = 0; d < TableGrid::n_theta_d; ++d) {
     Group column;
     for (const auto& strip : columns) column.add(strip[d], n);
-    if (column.seen) add_sums(layout, column.sums, result.theta_d_columns.emplace_back());
+    if (column.seen) result.theta_d_columns.push_back(quadratic_of(layout, column.sums, model, 0, 0));
   }
-  add_sums(layout, all.sums, result.all);
-  add_energy(layout, model, objective.options().energy_weight, objective.observations().n_values, result.all);
+  result.all = quadratic_of(layout, all.sums, model, objective.options().energy_weight, objective.observations().n_values);
   return result;
 }
 

@@ -21,6 +21,12 @@ struct Quadratic {
   std::vector<double> curvature;  ///< by kind, row-major n x n, symmetric
 };
 
+/// Adds the sums of a channel of `n` parameters to another's.
+void add(const ChannelSums& from, int n, ChannelSums& to);
+
+/// The channels' sums as a quadratic of the solver's parameters, with the energy penalty of `n_values` values; without one: weight 0.
+Quadratic quadratic_of(const ParameterLayout& layout, const Sums& sums, const brdf::CookTorrance& model, double energy_weight, std::size_t n_values);
+
 /// Robust sum of squared residuals of the model over the observations, with analytic derivatives. Parameters as in ParameterLayout.
 ///
 /// Residual: ln((f + t) / (target + t)) / sigma with t = 1e-3 target, which is the logarithm of the ratio unless the model is off by a
@@ -50,6 +56,7 @@ class Objective {
 struct GroupedQuadratics {
   Quadratic all;
   std::vector<Quadratic> theta_h_rows, theta_d_columns;
+  std::vector<Quadratic> views;  ///< of a fit to samples; else empty
 };
 GroupedQuadratics grouped_quadratics(const Objective& objective, const std::vector<double>& x);
 

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "libfit/comparison.h"
 #include "libfit/kernels.h"
 
 namespace lacquer::fit {
@@ -15,10 +16,6 @@ namespace lacquer::fit {
 namespace {
 
 using brdf::CellOrigin;
-
-/// Below this many sigmas a value is compared linearly: at 5 sigma the logarithm is still biased by 2 %
-/// before, 0.1 % after correction.
-constexpr double weak_signal = 5.0;
 
 /// Positions in UsableCells: those whose channels lie at one place, then of channel 0, 1, 2 alone.
 std::array<std::vector<std::uint32_t>, 4> sort_into_sets(const UsableCells& cells, std::size_t n_channels) {
@@ -69,30 +66,6 @@ CellSet cell_set(const brdf::HalfAngleTable& table, const UsableCells& cells, co
     }
   });
   return set;
-}
-
-/// How one value is compared with the model.
-struct Comparison {
-  float target = 1, inverse_sigma = 0;
-};
-
-/// `signal`: what is believed to be the true value.
-Comparison comparison(double mean, double variance, double signal, double model_sigma) {
-  const double noise = std::sqrt(variance);
-  const auto hypotenuse = [](double a, double b) { return std::sqrt(a * a + b * b); };  // neither overflows nor vanishes: floats
-  // The mean too must be clear of zero, whatever the reference says: its logarithm is taken.
-  if (mean > noise && signal > weak_signal * noise) {
-    // E[ln(true + noise)] = ln(true) - variance / (2 true^2): the target is raised by that much.
-    const double relative = noise / signal, bias = variance / (mean * mean) / 2;
-    const double factor = bias < 0.01 ? 1 + bias * (1 + bias / 2 * (1 + bias / 3)) : std::exp(bias);  // to 4e-10: floats
-    return {static_cast<float>(mean * factor), static_cast<float>(1 / hypotenuse(relative, model_sigma))};
-  }
-  return {static_cast<float>(mean), static_cast<float>(-1 / hypotenuse(noise, model_sigma * std::max(signal, mean)))};
-}
-
-/// A bound is kept or not, whatever the model says of its noise.
-Comparison comparison_with_bound(double bound, double variance, double model_sigma) {
-  return {static_cast<float>(-bound), static_cast<float>(1 / std::sqrt(variance / (bound * bound) + model_sigma * model_sigma))};
 }
 
 }  // namespace

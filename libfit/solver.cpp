@@ -127,11 +127,15 @@ void Bounds::clamp(std::vector<double>& x) const {
 
 Solution minimise(const Objective& objective, std::vector<double> start, const SolverOptions& options) {
   if (options.ceres) return minimise_with_ceres(objective, std::move(start), options);
-  const Bounds bounds(objective.layout(), options);
+  return minimise([&](const std::vector<double>& x, Curvature kind) { return objective.quadratic(x, kind); }, objective.layout(), std::move(start), options);
+}
+
+Solution minimise(const QuadraticAt& objective, const ParameterLayout& layout, std::vector<double> start, const SolverOptions& options) {
+  const Bounds bounds(layout, options);
   const std::vector<double>&lower = bounds.lower, &upper = bounds.upper;
   bounds.clamp(start);
   Solution solution{.x = std::move(start)};
-  Quadratic q = objective.quadratic(solution.x, Curvature::newton);
+  Quadratic q = objective(solution.x, Curvature::newton);
   bool gauss_newton = false;
   double damping = options.damping, growth = 4;
   const auto finish = [&](bool converged, const char* message) {
@@ -158,7 +162,7 @@ Solution minimise(const Objective& objective, std::vector<double> start, const S
         growth *= 2;
         if (damping > 1e16) return finish(false, "No step lowers the cost");
       } else {
-        q = objective.quadratic(solution.x, Curvature::gauss_newton);
+        q = objective(solution.x, Curvature::gauss_newton);
         gauss_newton = true;
       }
       continue;
@@ -169,7 +173,7 @@ Solution minimise(const Objective& objective, std::vector<double> start, const S
       q.cost = std::max(0.0, q.cost - step.gain);
       return finish(true, "The next step gains far less than the errors");
     }
-    Quadratic next = objective.quadratic(step.to, Curvature::newton);
+    Quadratic next = objective(step.to, Curvature::newton);
     const double ratio = (q.cost - next.cost) / step.gain;
     if (std::isfinite(next.cost) && ratio > 1e-3) {
       solution.x = std::move(step.to);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <utility>
@@ -39,5 +40,9 @@ struct Solution {
 /// else Gauss-Newton's. Evaluates the objective once per trial and never for a step that is not worth it: near a minimum of millions of
 /// cells two or three passes are all, where a general solver takes a dozen.
 Solution minimise(const Objective& objective, std::vector<double> start, const SolverOptions& options);
+
+/// The same for any objective that gives a quadratic at `x`, by our own solver.
+using QuadraticAt = std::function<Quadratic(const std::vector<double>& x, Curvature kind)>;
+Solution minimise(const QuadraticAt& objective, const ParameterLayout& layout, std::vector<double> start, const SolverOptions& options);
 
 }  // namespace lacquer::fit

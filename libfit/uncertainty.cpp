@@ -117,7 +117,7 @@ std::vector<double> sigma_factors(const GroupedQuadratics& q, std::size_t n_valu
                                   const std::vector<double>& covariance) {
   const std::size_t size = live.size();
   std::vector<double> factors(size, reduced > chance_limit(static_cast<double>(n_values)) ? std::sqrt(reduced) : 1.0);
-  for (const auto* groups : {&q.theta_h_rows, &q.theta_d_columns}) {
+  for (const auto* groups : {&q.theta_h_rows, &q.theta_d_columns, &q.views}) {
     const std::vector<Clusters> found = clusters(*groups, live, covariance);
     for (std::size_t i = 0; i < size; ++i) {
       if (!(covariance[i * size + i] > 0)) continue;
@@ -134,7 +134,7 @@ double overdispersion(const ParameterLayout& layout, const std::vector<double>& 
   const std::vector<int> live = live_parameters(layout, x, q.all);
   const Inverse inverse = invert(q.all, layout.size(), live);
   double factor = std::max(1.0, reduced_chi2(q.all, n_values, x.size()));
-  for (const auto* groups : {&q.theta_h_rows, &q.theta_d_columns}) {
+  for (const auto* groups : {&q.theta_h_rows, &q.theta_d_columns, &q.views}) {
     const std::vector<Clusters> found = clusters(*groups, live, inverse.covariance);
     double sum = 0;
     for (std::size_t i = 0; i < live.size(); ++i) {
@@ -255,6 +255,39 @@ void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x
       result.covariance[live[i] * n + live[j]] =
           inverse.covariance[i * live.size() + static_cast<std::size_t>(j)] * factors[i] * factors[j] *
           to_public[live[i]] * to_public[live[j]];
+}
+
+void add_scale_error(double scale_sigma, FitResult& result) {
+  result.scale_sigma = scale_sigma;
+  const std::size_t n = result.parameters.size();
+  const auto scales = [&](std::size_t i) { return result.parameters[i].name[0] == 'k' && result.parameters[i].sigma > 0; };
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j)
+      if (scales(i) && scales(j))
+        result.covariance[i * n + j] += scale_sigma * scale_sigma * result.parameters[i].value * result.parameters[j].value;
+  for (std::size_t i = 0; i < n; ++i)
+    if (scales(i)) result.parameters[i].sigma = std::sqrt(result.covariance[i * n + i]);
+}
+
+void add_calibration_error(const ParameterLayout& layout, const Quadratic& here, const std::vector<Quadratic>& moved, FitResult& result) {
+  const auto n = static_cast<std::size_t>(layout.size());
+  std::vector<int> live;  // what has an error can have this one too
+  std::vector<double> to_public(n, 1.0);
+  for (int l = 0; l < layout.n_lobes(); ++l) to_public[static_cast<std::size_t>(layout.log_m(l))] = result.parameters[layout.log_m(l)].value;
+  for (std::size_t i = 0; i < n; ++i)
+    if (result.parameters[i].sigma > 0) live.push_back(static_cast<int>(i));
+  const Inverse inverse = invert(here, layout.size(), live);
+  for (const Quadratic& q : moved) {
+    std::vector<double> step(n);
+    for (std::size_t i = 0; i < live.size(); ++i)
+      for (std::size_t j = 0; j < live.size(); ++j)
+        step[live[i]] -= inverse.covariance[i * live.size() + j] * (q.gradient[live[j]] - here.gradient[live[j]]) * to_public[live[i]];
+    for (const int i : live) {
+      result.parameters[i].calibration_sigma = std::hypot(result.parameters[i].calibration_sigma, step[i]);
+      for (const int j : live) result.covariance[static_cast<std::size_t>(i) * n + j] += step[i] * step[j];
+    }
+  }
+  for (const int i : live) result.parameters[i].sigma = std::sqrt(result.covariance[static_cast<std::size_t>(i) * n + i]);
 }
 
 }  // namespace lacquer::fit

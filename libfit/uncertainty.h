@@ -11,7 +11,7 @@ namespace lacquer::fit {
 ///
 /// Covariance: inverse of the Gauss-Newton matrix, each parameter's sigma raised where the residuals show that it is too small: by
 /// reduced chi^2 > 1 (scatter larger than the stated errors), or by residuals that agree with each other within a theta_h row or a
-/// theta_d column (errors of model, discretisation, single lights), which the cluster-robust sandwich of Liang and Zeger 1986 measures.
+/// theta_d column or a view (errors of model, discretisation, single lights), which the cluster-robust sandwich of Liang and Zeger 1986 measures.
 /// Raised only where the excess is more than chance: a parameter that few rows determine has a sandwich that scatters by itself, as
 /// chi^2 with Satterthwaite's degrees of freedom. Not determined, with sigma 0: a parameter that takes part in a direction along which
 /// the objective does not change, m known worse than its own size, r known worse than its range. ks, m, r of a lobe that is off (all its
@@ -19,6 +19,13 @@ namespace lacquer::fit {
 /// correlated with them look certain.
 void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x, const GroupedQuadratics& quadratics,
                      std::size_t n_values, double min_m, FitResult& result);
+
+/// kd and ks are proportional to the scale, m and r do not depend on it: its relative error is one more, common term of their covariance.
+void add_scale_error(double scale_sigma, FitResult& result);
+
+/// Adds to the covariance what errors of the calibration make of the parameters. `moved`: quadratics at the same solution of the data as it
+/// would be with each independent error one standard error large; the parameters would follow by a Gauss-Newton step.
+void add_calibration_error(const ParameterLayout& layout, const Quadratic& here, const std::vector<Quadratic>& moved, FitResult& result);
 
 /// False: a lobe's strength is within 10 standard errors of none, in every channel and both at normal incidence, ks r, and at theta_d of 80
 /// degrees. What a criterion takes for a weak lobe may be errors that neighbouring cells share, beside a narrow lobe above all: these are

@@ -12,6 +12,7 @@
 #include "libfit/fit.h"
 #include "tools/command.h"
 #include "tools/fit_table.h"
+#include "tools/session_samples.h"
 #include "tools/summary.h"
 
 namespace lacquer::tools {
@@ -22,6 +23,8 @@ struct Options {
   std::vector<std::string> inputs;
   std::string output, table;
   double max_theta_deg = 85;
+  bool samples = false;
+  calib::SampleOptions sample_options;
   fit::FitOptions fit;
 };
 
@@ -49,7 +52,7 @@ std::string candidate_table(const fit::FitResult& fit) {
   return text + "\n";
 }
 
-std::string to_text(const std::string& input, const std::string& description, const std::string& output, const fit::FitResult& fit) {
+std::string to_text(const std::string& input, const std::string& description, const std::string& output, const fit::FitResult& fit, bool samples) {
   std::string text = fmt::format("input        {} ({})\n\n", input, description);
   text += parameter_table(fit, nullptr);
   text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n",
@@ -61,7 +64,7 @@ std::string to_text(const std::string& input, const std::string& description, co
                         100 * fit.shared_error);
   text += fmt::format("energy       {:.3f}   normal-incidence albedo, largest channel{}\n", fit.energy,
                       fit.energy > 1 ? ": IMPLAUSIBLE, more than 1" : "");
-  text += fmt::format("cells        {} of {} usable\n", fit.n_cells, fit.n_cells_available);
+  text += fmt::format("{} {} of {} usable\n", samples ? "samples     " : "cells       ", fit.n_cells, fit.n_cells_available);
   const auto& out = fit.left_out;
   text += fmt::format(
       "left out     {} grazing, {} not positive, {} not finite, {} not measured (cells times channels)\n",
@@ -82,19 +85,31 @@ std::string output_of(const Options& options, const std::string& input) {
   return (std::filesystem::path(options.output) / (std::filesystem::path(input).stem().string() + ".json")).string();
 }
 
+/// Refits to the samples of the session whose table `fit` is of.
+void refit_to_samples(const Options& options, const std::filesystem::path& folder, bool absolute_scale, const Context& context, fit::FitResult& fit) {
+  const auto session = std::make_shared<const acquire::Session>(acquire::read_session(folder));
+  const calib::Calibration calibration = calib::read_calibration(folder / "calibration.json");
+  fit = fit::fit_samples(session_samples(session, calibration, options.sample_options), fit, absolute_scale, {}, stderr_progress(context));
+}
+
 /// Fits one input and reports on it.
-NamedFit fit_one(const Options& options, const std::string& name, const Context& context) {
+NamedFit fit_one(const Options& options, const std::string& given, const Context& context) {
+  const std::string name = options.samples ? (std::filesystem::path(given) / "table.exr").string() : given;
   const auto input = brdf::load_brdf(name);
   std::optional<brdf::HalfAngleTable> storage;
   const brdf::HalfAngleTable& table = table_of(*input, options.fit.min_cosine, storage);
   NamedFit named{std::filesystem::path(name).stem().string(), fit::fit_table(table, options.fit, stderr_progress(context))};
+  if (options.samples) {
+    named.name = std::filesystem::path(given).filename().string();
+    refit_to_samples(options, given, table.absolute_scale, context, named.fit);
+  }
   fit::add_evaluation_costs(named.fit);
   const std::string provenance = provenance_json(context, {name}), output = output_of(options, name);
   if (!output.empty()) fit::write_fit(output, named.fit, table.absolute_scale, provenance);
   if (context.json)
     fmt::print("{}", fit::fit_to_json(named.fit, table.absolute_scale, provenance));
   else
-    fmt::print("{}", to_text(name, input->description(), output, named.fit));
+    fmt::print("{}", to_text(given, input->description(), output, named.fit, options.samples));
   return named;
 }
 
@@ -117,6 +132,8 @@ void add_fit(CLI::App& app, Context& context) {
   command->add_option("TABLE", options->inputs, "table.exr, MERL .binary, RGL .bsdf or a model; several: one fit each")->required();
   command->add_option("-o,--output", options->output, "fit.json to write; several inputs: folder for NAME.json");
   command->add_option("--table", options->table, "parameters of all inputs as .csv, .md or .tex, in their order");
+  command->add_flag("--samples", options->samples,
+                    "TABLE is a session folder: refit the structure found in its table.exr to the samples of its images themselves");
   command->add_option("--lobes", o.n_lobes, "number of lobes, 0 to 5; not given: the structure that the data supports");
   command->add_option("--max-cells", o.max_cells, "cells used, spread over the table")->capture_default_str();
   command->add_option("--starts", o.n_starts, "starts that are refined")->capture_default_str();
@@ -136,7 +153,7 @@ void add_fit(CLI::App& app, Context& context) {
       ->capture_default_str();
   add_json_option(*command, context);
   command->callback([options, &context] {
-    options->fit.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);
+    options->sample_options.min_cosine = options->fit.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);
     check(*options, context.json);
     std::vector<NamedFit> fits;
     for (const std::string& input : options->inputs) {

@@ -96,5 +96,24 @@ TEST(FitCommand, BadInputIsOneLineAndExitOne) {
   expect_one_line("fit", 2, "TABLE");
 }
 
+TEST(FitCommand, SamplesOfASessionAgreeWithItsTable) {
+  TemporaryFolder folder;
+  const std::string session = (folder / "session").string(), output = (folder / "samples.json").string();
+  ASSERT_EQ(run_lacquer("-q measure --no-report " + (source_dir() / "data-samples" / "tiny-rig.toml").string() + " -o " + session).exit_code, 0);
+  const CommandResult run = run_lacquer("-q fit --samples " + session + " -o " + output);
+  ASSERT_EQ(run.exit_code, 0) << run.err;
+  EXPECT_NE(run.out.find("samples      "), std::string::npos) << run.out;
+  const auto samples = nlohmann::json::parse(brdf::read_text(output)), table = nlohmann::json::parse(brdf::read_text(folder / "session" / "fit.json"));
+  ASSERT_EQ(samples.at("parameters").size(), table.at("parameters").size());
+  for (std::size_t k = 0; k < samples["parameters"].size(); ++k) {
+    const auto &s = samples["parameters"][k], &t = table["parameters"][k];
+    const double sigma = std::max(s.at("sigma").get<double>(), t.at("sigma").get<double>());
+    EXPECT_LE(std::abs(s.at("value").get<double>() - t.at("value").get<double>()), 3 * sigma) << s.at("name");
+  }
+  const CommandResult missing = run_lacquer("-q fit --samples " + (folder / "nothing").string());
+  EXPECT_EQ(missing.exit_code, 1);
+  EXPECT_NE(missing.err.find("table.exr"), std::string::npos) << missing.err;
+}
+
 }  // namespace
 }  // namespace lacquer::test
