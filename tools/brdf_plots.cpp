@@ -9,6 +9,7 @@
 
 #include "libcalib/coverage.h"
 #include "tools/html.h"
+#include "libfit/residual_map.h"
 
 namespace lacquer::tools {
 
@@ -155,6 +156,35 @@ Slice log_slice(const brdf::Brdf& brdf, int phi_d_cell) {
   return slice;
 }
 
+namespace {
+
+/// Of ratios: symmetric about 0; few cells at the rim do not set the colours of all.
+void set_symmetric_range(Slice& slice) {
+  std::vector<double> sizes;
+  for (const double v : slice.values)
+    if (std::isfinite(v)) sizes.push_back(std::abs(v));
+  double limit = 0.01;
+  if (!sizes.empty()) {
+    const auto nth = sizes.begin() + static_cast<std::ptrdiff_t>(0.98 * static_cast<double>(sizes.size() - 1));
+    std::nth_element(sizes.begin(), nth, sizes.end());
+    limit = std::max(limit, std::ceil(100 * *nth) / 100);
+  }
+  slice.low = -limit;
+  slice.high = limit;
+  slice.diverging = true;
+  slice.unit = "ln ratio";
+}
+
+}  // namespace
+
+Slice residual_slice(const brdf::HalfAngleTable& table, const brdf::CookTorrance& model) {
+  const fit::ResidualMap map = fit::residual_map(table, model);
+  Slice slice;
+  for (std::size_t i = 0; i < slice.values.size(); ++i) slice.values[i] = map.n[i] > 0 ? map.mean_log[i] : std::numeric_limits<double>::quiet_NaN();
+  set_symmetric_range(slice);
+  return slice;
+}
+
 Slice log_ratio_slice(const brdf::Brdf& a, const brdf::Brdf& b, int phi_d_cell) {
   const auto* table = dynamic_cast<const brdf::TableBrdf*>(&a);
   Slice slice = slice_of(
@@ -177,19 +207,7 @@ Slice log_ratio_slice(const brdf::Brdf& a, const brdf::Brdf& b, int phi_d_cell) 
         return std::log(value_b->y / *value_a);
       },
       phi_d_cell);
-  std::vector<double> sizes;
-  for (const double v : slice.values)
-    if (std::isfinite(v)) sizes.push_back(std::abs(v));
-  double limit = 0.01;
-  if (!sizes.empty()) {  // few cells at the rim do not set the colours of all
-    const auto nth = sizes.begin() + static_cast<std::ptrdiff_t>(0.98 * static_cast<double>(sizes.size() - 1));
-    std::nth_element(sizes.begin(), nth, sizes.end());
-    limit = std::max(limit, std::ceil(100 * *nth) / 100);
-  }
-  slice.low = -limit;
-  slice.high = limit;
-  slice.diverging = true;
-  slice.unit = "ln ratio";
+  set_symmetric_range(slice);
   return slice;
 }
 

@@ -45,6 +45,8 @@ Slice slice_of(const SliceValue& value, int phi_d_cell = brdf::TableGrid::n_phi_
 Slice log_slice(const brdf::Brdf& brdf, int phi_d_cell = brdf::TableGrid::n_phi_d / 2);
 /// ln(b / a) where both say something positive; a table is compared at the mean coordinates of its cells' samples.
 Slice log_ratio_slice(const brdf::Brdf& a, const brdf::Brdf& b, int phi_d_cell = brdf::TableGrid::n_phi_d / 2);
+/// Mean ln(model / table) over phi_d and channels, at the mean coordinates of the cells' samples.
+Slice residual_slice(const brdf::HalfAngleTable& table, const brdf::CookTorrance& model);
 /// Sets low and high to the finite values' range, of all slices together.
 void share_range(std::vector<Slice*> slices);
 Plot slice_plot(const Slice& slice, const std::string& title);

@@ -29,15 +29,15 @@ h3 { font-size: 1.05rem; margin-top: 1.5rem; }
 nav ul { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; list-style: none; padding: 0; }
 pre { overflow-x: auto; padding: .6rem; border: 1px solid var(--line); font-size: .82rem; }
 .warning { border-left: 4px solid var(--warn); padding: .3rem .8rem; margin: .5rem 0; }
-.row { display: flex; flex-wrap: wrap; gap: 1.2rem; align-items: flex-start; }
+.row { display: flex; flex-wrap: wrap; gap: 1.2rem; align-items: flex-start; } .row > * { min-width: 0; max-width: 100%; }
 figure { margin: 0; flex: 1 1 24rem; max-width: 36rem; min-width: 0; } figure.wide { flex-basis: 100%; max-width: 100%; }
 figure.small { flex: 0 1 11rem; max-width: 14rem; } figure.medium { flex: 0 1 17rem; max-width: 22rem; }
 figcaption { font-size: .88rem; color: var(--soft); } img, svg { max-width: 100%; height: auto; display: block; }
 svg { color: var(--ink); } svg image, img.pixels { image-rendering: pixelated; }
 .scroll { overflow-x: auto; max-width: 100%; } table { border-collapse: collapse; font-size: .9rem; margin: .8rem 0; font-variant-numeric: tabular-nums; }
-caption { text-align: left; color: var(--soft); padding-bottom: .3rem; } th, td { padding: .15rem .7rem; border-bottom: 1px solid var(--line); text-align: left; }
-.number { text-align: right; white-space: nowrap; } th { font-weight: 600; } td { min-width: 4rem; } output { display: block; min-height: 1.4em; font-size: .88rem; }
-@media print { body { max-width: none; font-size: 10pt; } nav, .skip, output { display: none; } figure, table { break-inside: avoid; } details > * { display: block; } }
+caption { text-align: left; color: var(--soft); padding-bottom: .3rem; } th, td { padding: .15rem .7rem; border-bottom: 1px solid var(--line); text-align: left; white-space: nowrap; } caption { white-space: normal; }
+.number { text-align: right; } th { font-weight: 600; } td { min-width: 4rem; } output { display: block; min-height: 1.4em; font-size: .88rem; }
+@media print { body { max-width: none; font-size: 10pt; } .scroll { overflow: visible; } th, td { white-space: normal; padding: .1rem .35rem; } pre { white-space: pre-wrap; } nav, .skip, output { display: none; } figure, table { break-inside: avoid; } details > * { display: block; } }
 </style>)";
 
 /// Shows angles and value under the pointer, or at the place that the arrow keys lead to.
@@ -147,9 +147,10 @@ std::string html_svg(std::string svg, PlotSize size, const std::string& id, cons
   if (const std::size_t ground = svg.find("<rect x=\"0\" y=\"0\""); ground != std::string::npos) svg.erase(ground, svg.find("/>", ground) + 2 - ground);
   for (const char* const part : {"gnuplot_", "gpDot", "gpPt", "textbox", "greybox"})
     for (const char* const before : {"id=\"", "id='", "href='#", "url(#"}) replace_all(svg, std::string(before) + part, std::string(before) + id + part);
-  replace_all(svg, "rgb( 34,  34,  34)", "var(--ink)");
-  replace_all(svg, "rgb(102, 102, 102)", "var(--soft)");
-  replace_all(svg, "rgb(226, 226, 226)", "var(--line)");
+  // Strokes and texts write the same colours in two ways.
+  for (const char* const ink : {"rgb( 34,  34,  34)", "rgb(34,34,34)"}) replace_all(svg, ink, "var(--ink)");
+  for (const char* const soft : {"rgb(102, 102, 102)", "rgb(102,102,102)"}) replace_all(svg, soft, "var(--soft)");
+  for (const char* const line : {"rgb(226, 226, 226)", "rgb(226,226,226)"}) replace_all(svg, line, "var(--line)");
   replace_all(svg, "'black'", "'var(--ink)'");
   replace_all(svg, "\"black\"", "\"var(--ink)\"");
   return svg;

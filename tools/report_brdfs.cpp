@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <limits>
 #include <numbers>
 
@@ -58,17 +59,21 @@ Slice measured_slice(const brdf::TableBrdf& table) {
 
 HtmlSection comparison_section(const std::vector<ReportBrdf>& brdfs, const ReportOptions& options) {
   std::vector<std::vector<std::string>> rows;
-  for (std::size_t i = 1; i < brdfs.size(); ++i) {
+  const auto add = [&](const ReportBrdf& a, const ReportBrdf& b) {
     brdf::CompareOptions compare;
     compare.max_theta = options.max_theta_deg * std::numbers::pi / 180;
-    const brdf::BrdfDifference d = brdf::compare(*brdfs[0].brdf, *brdfs[i].brdf, compare);
-    rows.push_back({brdfs[i].name, fmt::format("{:.5f}", d.mean_abs_log), fmt::format("{:.5f}", d.rms_log), fmt::format("{:+.5f}", d.bias_log),
+    const brdf::BrdfDifference d = brdf::compare(*a.brdf, *b.brdf, compare);
+    rows.push_back({b.name + " against " + a.name, fmt::format("{:.5f}", d.mean_abs_log), fmt::format("{:.5f}", d.rms_log), fmt::format("{:+.5f}", d.bias_log),
                     fmt::format("{:.4f}", d.max_abs_log), fmt::format("{:.3f} %", 100 * d.cosine_rms), d.n_pixels ? fmt::format("{:.3f}", d.delta_e_mean) : "–",
                     d.n_pixels ? fmt::format("{:.3f}", d.delta_e_p95) : "–", fmt::format("{}", d.n_directions)});
-  }
+  };
+  // Of a simulated session what counts comes first.
+  const auto named_as = [&](const char* name) { return std::find_if(brdfs.begin(), brdfs.end(), [&](const ReportBrdf& b) { return b.name == name; }); };
+  if (const auto fit = named_as("fit"), truth = named_as("truth"); fit != brdfs.end() && truth != brdfs.end() && fit != brdfs.begin()) add(*truth, *fit);
+  for (std::size_t i = 1; i < brdfs.size(); ++i) add(brdfs[0], brdfs[i]);
   return {"comparison", "Comparison",
-          html_table(fmt::format("Against {}, light and camera within {:g}° of the normal; ln is the natural logarithm of the ratio", brdfs[0].name, options.max_theta_deg),
-                     {"BRDF", "mean |ln|", "rms ln", "mean ln", "largest |ln|", "cosine-weighted RMS", "ΔE2000 mean", "ΔE2000 95th pct", "directions"}, rows)};
+          html_table(fmt::format("Light and camera within {:g}° of the normal; ln is the natural logarithm of the ratio", options.max_theta_deg),
+                     {"BRDFs", "mean |ln|", "rms ln", "mean ln", "largest |ln|", "cosine-weighted RMS", "ΔE2000 mean", "ΔE2000 95th pct", "directions"}, rows)};
 }
 
 HtmlSection lobes_section(const std::vector<ReportBrdf>& brdfs) {
@@ -105,6 +110,11 @@ HtmlSection slices_section(const std::vector<ReportBrdf>& brdfs) {
   for (std::size_t i = 1; i < brdfs.size(); ++i)
     html += slice_figure(log_ratio_slice(*brdfs[0].brdf, *brdfs[i].brdf), fmt::format("ln({} / {})", brdfs[i].name, brdfs[0].name), fmt::format("slice{}-", n++),
                          fmt::format("Residual: red, {} is larger.", brdfs[i].name));
+  const auto* first = table_of(brdfs[0]);
+  for (std::size_t i = 1; first && i < brdfs.size(); ++i)
+    if (const auto* model = dynamic_cast<const brdf::CookTorranceBrdf*>(brdfs[i].brdf.get()))
+      html += slice_figure(residual_slice(*first, model->model()), fmt::format("mean ln({} / {}) over phi_d", brdfs[i].name, brdfs[0].name), fmt::format("slice{}-", n++),
+                           "Residual, mean over all φd and channels: what is left here is the model's, or the geometry's, not noise.");
   for (const auto& b : brdfs)
     if (const auto* table = table_of(b))
       html += slice_figure(coverage_slice(*table), b.name + ", coverage", fmt::format("slice{}-", n++), "Share of the reachable cells over all φd that were measured or are known by symmetry.");

@@ -29,9 +29,13 @@ auto with_fit_json(const std::filesystem::path& file, const Use& use) {
 fit::FitResult parameters_of(const Json& j, const std::filesystem::path& file) {
   fit::FitResult fit;
   fit.model = brdf::read_model(file);
-  for (const Json& p : j.at("parameters"))
+  for (const Json& p : j.at("parameters")) {
     fit.parameters.push_back({.name = p.at("name").get<std::string>(), .value = p.at("value").get<double>(), .sigma = p.at("sigma").get<double>(),
                               .at_bound = p.at("at_bound").get<bool>(), .determined = p.at("determined").get<bool>()});
+    if (p.contains("profile_95"))
+      fit.parameters.back().profile = fit::ProfileInterval{p.at("profile_68").at(0).get<double>(), p.at("profile_68").at(1).get<double>(), p.at("profile_95").at(0).get<double>(),
+                                                           p.at("profile_95").at(1).get<double>()};
+  }
   return fit;
 }
 
@@ -73,10 +77,16 @@ std::string model_text(const Json& j) {
 
 std::string candidates_table(const Json& j) {
   std::vector<std::vector<std::string>> rows;
-  for (const Json& c : j.at("candidates"))
+  std::vector<std::string> columns{"structure", "mean |ln|", "parameters", "criterion", "lobes"};
+  const auto timed = [](const Json& c) { return c.contains("evaluation_ns"); };
+  const bool times = std::any_of(j.at("candidates").begin(), j.at("candidates").end(), timed);
+  if (times) columns.push_back("ns per value");
+  for (const Json& c : j.at("candidates")) {
     rows.push_back({c.at("structure").get<std::string>(), fmt::format("{:.5f}", c.at("mean_abs_log").get<double>()), fmt::format("{}", c.at("n_parameters").get<int>()),
-                    c.contains("evaluation_ns") ? fmt::format("{:.2f}", c.at("evaluation_ns").get<double>()) : "–", fmt::format("{:+.4g}", c.at("criterion").get<double>()), model_text(c)});
-  return rows.empty() ? "" : html_table("Structures that were tried, the chosen one first; the smallest criterion wins", {"structure", "mean |ln|", "parameters", "ns per value", "criterion", "lobes"}, rows);
+                    fmt::format("{:+.4g}", c.at("criterion").get<double>()), model_text(c)});
+    if (times) rows.back().push_back(timed(c) ? fmt::format("{:.2f}", c.at("evaluation_ns").get<double>()) : "–");
+  }
+  return rows.empty() ? "" : html_table("Structures that were tried, the chosen one first; the smallest criterion wins", columns, rows);
 }
 
 std::string errors_table(const Json& j) {
@@ -101,10 +111,14 @@ std::vector<std::string> fit_warnings(const std::filesystem::path& file) {
     const Json& errors = j.at("errors");
     if (!errors.at("converged").get<bool>()) list.push_back("The fit did not converge: " + errors.at("message").get<std::string>());
     if (errors.at("energy").get<double>() > 1) list.push_back(fmt::format("The fitted paint reflects more than it receives: albedo {:.3f} at normal incidence.", errors.at("energy").get<double>()));
+    std::string open, bound;
+    const auto add = [](std::string& names, const std::string& name) { names += (names.empty() ? "" : ", ") + name; };
     for (const auto& p : parameters_of(j, file).parameters) {
-      if (!p.determined) list.push_back(p.name + " is not determined by the data.");
-      if (p.determined && p.at_bound) list.push_back(fmt::format("{} stands at its bound ({:.4g}).", p.name, p.value));
+      if (!p.determined) add(open, p.name);
+      if (p.determined && p.at_bound) add(bound, fmt::format("{} = {:.4g}", p.name, p.value));
     }
+    if (!open.empty()) list.push_back("Not determined by the data, so no measurement: " + open + ".");
+    if (!bound.empty()) list.push_back("At a bound of what is allowed, so no measurement: " + bound + ".");
     return list;
   });
 }

@@ -47,6 +47,8 @@ std::vector<ReportBrdf> load_named_brdfs(const std::vector<std::string>& files);
 HtmlSection capture_section(const ReportSession& s);
 HtmlSection sensor_section(const ReportSession& s);
 HtmlSection geometry_section(const ReportSession& s);
+/// Map of the lens' uncertainty and distortion; empty where the rig has no lens file that states a covariance.
+std::string lens_figure(const calib::Calibration& calibration);
 HtmlSection photographs_section(const ReportSession& s);
 /// Parameters, correlations, candidates, minima of a fit.json.
 HtmlSection parameters_section(const std::filesystem::path& fit_file, const brdf::Brdf* truth);

@@ -73,11 +73,13 @@ std::string errors_figure(const std::vector<calib::ViewError>& errors) {
   for (std::size_t i = 0; i < errors.size(); ++i) {
     const auto& e = errors[i];
     columns[0].push_back(static_cast<double>(i));
-    columns[1].push_back(100 * e.relative_rms);
-    columns[2].push_back(100 * e.bias_log);
-    sorted.push_back(e.relative_rms);
+    const bool seen = e.n_values > 0;  // a light behind the sphere shows nothing
+    columns[1].push_back(seen ? 100 * e.relative_rms : std::nan(""));
+    columns[2].push_back(seen ? 100 * e.bias_log : std::nan(""));
+    if (seen) sorted.push_back(e.relative_rms);
     rows.push_back({e.view, fmt::format("{:.2f} %", 100 * e.relative_rms), fmt::format("{:.4f}", e.mean_abs_log), fmt::format("{:+.4f}", e.bias_log), fmt::format("{}", e.n_values)});
   }
+  if (sorted.empty()) return "";
   std::sort(sorted.begin(), sorted.end());
   return html_figure(html_plot(plot_data("e", columns) + "set xlabel 'view'\nset ylabel 'per cent'\nset key top right\n"
                                                          "plot $e using 1:2 with linespoints lc rgb blue title 'relative RMS', $e using 1:3 with linespoints lc rgb vermilion title 'mean ln(fit / photograph)'\n",

@@ -101,14 +101,14 @@ std::vector<ParameterRow> parameter_rows(const fit::FitResult& fit, const brdf::
   std::vector<ParameterRow> rows;
   for (const auto& p : fit.parameters) {
     const auto found = std::find_if(true_values.begin(), true_values.end(), [&](const auto& t) { return t.first == p.name; });
-    rows.push_back({p.name, with_error(p.value, p.determined ? p.sigma : 0), found != true_values.end() ? fmt::format("{:.5g}", found->second) : "",
+    rows.push_back({p.name, p.determined ? with_error(p.value, p.sigma) : fmt::format("{:.2g}", p.value), found != true_values.end() ? fmt::format("{:.5g}", found->second) : "",
                     note_on(p)});
   }
   return rows;
 }
 
 std::string parameter_table(const fit::FitResult& fit, const brdf::CookTorrance* truth) {
-  std::string text = padded("parameter", 12) + padded("fitted", 26) + (truth ? "truth" : "") + "\n";
+  std::string text = padded("parameter", 12) + (truth ? padded("fitted", 26) + "truth" : "fitted") + "\n";
   for (const auto& row : parameter_rows(fit, truth)) {
     std::string line = padded(row.name, 12) + padded(row.fitted, 26);
     if (!row.truth.empty()) line += padded(row.truth, 10);
