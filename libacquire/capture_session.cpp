@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <map>
 #include <optional>
-#include <ranges>
 
 #include "libacquire/adaptive_bracket.h"
 #include "libacquire/capture_clock.h"
@@ -240,10 +239,10 @@ class PlanRunner {
         });
     }
     const std::size_t first = record.bracket ? record.bracket->first : 0, last = record.bracket ? record.bracket->last : times.size() - 1;
-    const auto missing = [&](std::size_t e) { return !items.contains(e); };
-    const auto chosen = std::views::iota(first, last + 1);
-    if (begun && std::ranges::any_of(chosen, missing)) go_to(v);
-    for (const std::size_t e : chosen) record.exposures_s.push_back(times[e]);
+    bool complete = true;
+    for (std::size_t e = first; e <= last; ++e) complete &= items.contains(e);
+    if (begun && !complete) go_to(v);
+    for (std::size_t e = first; e <= last; ++e) record.exposures_s.push_back(times[e]);
     writer_.begin_view(std::move(record), begun != nullptr);
     for (std::size_t e = 0; e < times.size(); ++e) {
       const bool left_out = e < first || e > last;

@@ -47,8 +47,8 @@ class CookTorranceBrdf final : public Brdf {
   CookTorrance model_;
 };
 
-/// Reads any BRDF file; the format is found from the content, not from the name: table.exr, fit.json (also the bare
-/// {"kd": [...], "lobes": [...]}), MERL .binary, RGL .bsdf. Throws Error{file} with file, field and what was expected.
+/// Reads any BRDF file; the format is found from the content, not from the name: table .exr, .csv and .npy, fit.json (also the bare {"kd": [...],
+/// "lobes": [...]}), MERL .binary, RGL .bsdf (RGB or spectral), NVIDIA .mbsdf. Throws Error{file} with file, field and what was expected.
 std::unique_ptr<Brdf> load_brdf(const std::filesystem::path& file);
 
 }  // namespace lacquer::brdf

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <numbers>
 #include <optional>
 #include <random>
@@ -34,9 +36,6 @@ struct Pattern {
     return cells;
   }
 };
-
-/// Wide gaps are unlike any place that is known around them: their sigma is this much larger than the trials say.
-constexpr double wide_gap_factor = 1.3;
 
 /// 0: data in the next cell but one, 1: up to five cells away, 2: a wide gap.
 constexpr std::size_t n_gaps = 3;
@@ -185,6 +184,8 @@ struct Trial {
   std::size_t gap;
   int theta_h;
   double log_cosines;
+  int phi_d;       ///< of the known cell, folded
+  double stretch;  ///< distance of its data, relative to those of the hole that it stands for
 };
 
 double percentile_95(std::vector<double>& values) {
@@ -193,10 +194,36 @@ double percentile_95(std::vector<double>& values) {
   return *place;
 }
 
-std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& holes, std::size_t n_trials, double length_scale) {
+/// The pattern around a hole, laid around a known cell: where the cell that it asks for is not known, the next one along the same line stands in.
+/// `scale`: the whole pattern this many times as far apart; `mirrored`: phi_d turned round.
+Pattern laid_around(const Kriging& kriging, const Place& donor, const Pattern& pattern, int scale, bool mirrored, bool inwards_first) {
+  Pattern laid;
+  for (int k = 0; k < pattern.n; ++k) {
+    const Place& o = pattern.offset[static_cast<std::size_t>(k)];
+    const int steps = std::max({std::abs(o.h), std::abs(o.d), std::abs(o.p)});
+    const Place unit{o.h / steps, o.d / steps, mirrored ? -o.p / steps : o.p / steps};
+    for (int change = 0; change < 6; ++change) {  // 0, +1, -1, +2, -2, +3, or the other way round
+      const int size = (change + 1) / 2, j = scale * steps + ((change % 2 == 1) != inwards_first ? size : -size);
+      const Place offset{j * unit.h, j * unit.d, j * unit.p};
+      if (j < 1 || !kriging.known({donor.h + offset.h, donor.d + offset.d, donor.p + offset.p})) continue;
+      const auto used = [&](const Place& other) { return other.h == offset.h && other.d == offset.d && other.p == offset.p; };
+      if (std::any_of(laid.offset.begin(), laid.offset.begin() + laid.n, used)) continue;
+      laid.offset[static_cast<std::size_t>(laid.n++)] = offset;
+      break;
+    }
+  }
+  return laid;
+}
+
+std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& holes, std::size_t n_trials, double length_scale, int scale) {
   std::mt19937_64 generator(20050901);
   const auto below = [&](int n) { return static_cast<int>(generator() % static_cast<unsigned>(n)); };
-  std::vector<std::pair<Place, Pattern>> places;
+  struct Experiment {
+    Place donor;
+    Pattern pattern;
+    double stretch;
+  };
+  std::vector<Experiment> experiments;
   for (std::size_t t = 0; t < n_trials && !holes.empty(); ++t) {
     // Gaps of every width in equal parts, as far as there are any.
     Place hole{};
@@ -206,40 +233,64 @@ std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& h
       pattern = kriging.pattern(hole);
     }
     for (int attempt = 0; attempt < 48 && pattern.n >= 4; ++attempt) {
-      // Where every other row is missing no known place has its neighbours like the holes do: then twice as far apart.
-      if (attempt == 24)
-        for (int k = 0; k < pattern.n; ++k) pattern.offset[static_cast<std::size_t>(k)].d *= 2;
-      const int wide = attempt / 8 % 3;  // the donor of the truth: along phi_d first, where the paint changes least
-      const Place donor{hole.h + below(4 * wide + 1) - 2 * wide, hole.d + below(6 * wide + 3) - 3 * wide - 1, hole.p + below(91) - 45};
+      // The donor of the truth: along phi_d first, where the paint changes least. Its values are symmetric about 0 and about 90 deg of phi_d, where
+      // gaps are bridged otherwise than between: every other donor has the hole's distance from the other one of them.
+      const int wide = attempt / 16;
+      const bool mirrored = false;
+      const int p = mirrored ? FoldedChannel::n_p - 1 - hole.p + below(7) - 3 : hole.p + below(91) - 45;
+      const Place donor{hole.h + below(4 * wide + 1) - 2 * wide, hole.d + below(6 * wide + 3) - 3 * wide - 1, p};
       if (!kriging.known(donor)) continue;
-      int n = 0;
-      for (int k = 0; k < pattern.n; ++k) {
-        const Place& o = pattern.offset[static_cast<std::size_t>(k)];
-        n += kriging.known({donor.h + o.h, donor.d + o.d, donor.p + o.p});
-      }
-      if (n * 10 < pattern.n * 8) continue;
-      places.emplace_back(donor, pattern);
+      const Pattern laid = laid_around(kriging, donor, pattern, scale, mirrored, below(4) == 0);
+      if (laid.n * 10 < pattern.n * 8) continue;
+      experiments.push_back({donor, laid, static_cast<double>(laid.nearest()) / pattern.nearest()});
       break;
     }
   }
-  std::vector<Trial> trials(places.size());
-  tbb::parallel_for(std::size_t{0}, places.size(), [&](std::size_t k) {
-    const auto& [donor, pattern] = places[k];
+  std::vector<Trial> trials(experiments.size());
+  tbb::parallel_for(std::size_t{0}, experiments.size(), [&](std::size_t k) {
+    const auto& [donor, pattern, stretch] = experiments[k];
     const std::size_t i = FoldedChannel::index(donor);
     const auto p = kriging.predict(donor, pattern, length_scale);
     if (p)
-      trials[k] = {std::sqrt(p->variance + kriging.data().variance(i)),
-                   std::abs(p->log - kriging.data().log(i) - kriging.data().row_mean(donor.h)), p->gap, donor.h, kriging.log_cosines(donor)};
+      trials[k] = {std::sqrt(p->variance + kriging.data().variance(i)), std::abs(p->log - kriging.data().log(i) - kriging.data().row_mean(donor.h)),
+                   gap_class(static_cast<int>(std::lround(pattern.nearest() / stretch))), donor.h, kriging.log_cosines(donor), FoldedChannel::fold(donor.p), stretch};
   });
   std::erase_if(trials, [](const Trial& t) { return t.own_sigma == 0; });
   return trials;
+}
+
+/// By which the own sigmas of each class must grow for 95 % of its errors to lie within 1.96 of them; classes with few trials take the gap's, or all.
+std::array<double, Calibration::n_classes> factors_of(const std::vector<Trial>& trials, const Calibration& classes, std::size_t enough) {
+  std::vector<double> all;
+  std::array<std::vector<double>, n_gaps> by_gap;
+  std::array<std::vector<double>, Calibration::n_classes> ratios;
+  // How a factor changes from place to place is not known within a gap: the largest of three parts of phi_d counts.
+  constexpr std::size_t n_parts = 3;
+  std::array<std::array<std::vector<double>, n_parts>, Calibration::n_classes> parts;
+  for (const Trial& t : trials) {
+    const double ratio = t.error / (1.96 * t.own_sigma);
+    const std::size_t c = classes.class_of(t.gap, t.theta_h, t.log_cosines);
+    all.push_back(ratio);
+    by_gap[t.gap].push_back(ratio);
+    ratios[c].push_back(ratio);
+    parts[c][static_cast<std::size_t>(t.phi_d) * n_parts / FoldedChannel::n_p].push_back(ratio);
+  }
+  const double overall = percentile_95(all);
+  std::array<double, Calibration::n_classes> factors;
+  for (std::size_t c = 0; c < Calibration::n_classes; ++c) {
+    auto& gap = by_gap[c / (Calibration::n_classes / n_gaps)];
+    factors[c] = std::max(1e-3, ratios[c].size() >= enough ? percentile_95(ratios[c]) : gap.size() >= enough ? percentile_95(gap) : overall);
+    for (auto& part : parts[c])
+      if (part.size() >= enough / 2) factors[c] = std::max(factors[c], percentile_95(part));
+  }
+  return factors;
 }
 
 Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, std::size_t n_trials) {
   Calibration best;
   std::vector<Trial> trials;
   for (const double scale : length_scales) {
-    std::vector<Trial> now = trials_of(kriging, holes, n_trials, scale);
+    std::vector<Trial> now = trials_of(kriging, holes, n_trials, scale, 1);
     double sum = 0;
     for (const Trial& t : now) sum += t.error;
     if (now.empty()) continue;
@@ -251,21 +302,21 @@ Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, s
   }
   constexpr std::size_t enough = 60;
   if (trials.size() < enough) return best;
-  std::vector<double> all, cosines;
-  for (const Trial& t : trials) all.push_back(t.error / (1.96 * t.own_sigma)), cosines.push_back(t.log_cosines);
+  std::vector<double> cosines, stretches;
+  for (const Trial& t : trials) cosines.push_back(t.log_cosines), stretches.push_back(t.stretch);
   std::sort(cosines.begin(), cosines.end());
   for (std::size_t c = 1; c < Calibration::n_grazing; ++c) best.limits[c - 1] = cosines[c * cosines.size() / Calibration::n_grazing];
-  const double overall = percentile_95(all);
-  std::array<std::vector<double>, n_gaps> by_gap;
-  std::array<std::vector<double>, Calibration::n_classes> ratios;
-  for (const Trial& t : trials) {
-    const double ratio = t.error / (1.96 * t.own_sigma);
-    by_gap[t.gap].push_back(ratio);
-    ratios[best.class_of(t.gap, t.theta_h, t.log_cosines)].push_back(ratio);
-  }
-  for (std::size_t c = 0; c < Calibration::n_classes; ++c) {
-    auto& gap = by_gap[c / (Calibration::n_classes / n_gaps)];
-    best.factor[c] = std::max(1e-3, ratios[c].size() >= enough ? percentile_95(ratios[c]) : gap.size() >= enough ? percentile_95(gap) : overall);
+  const auto factors = factors_of(trials, best, enough);
+  best.factor = factors;
+  std::nth_element(stretches.begin(), stretches.begin() + static_cast<std::ptrdiff_t>(stretches.size() / 2), stretches.end());
+  if (stretches[stretches.size() / 2] > 1.5) {
+    // Where every other row is missing, no known cell has its data as near as the holes have: what twice the distance does to the factor, half
+    // of it undoes.
+    const std::vector<Trial> wider = trials_of(kriging, holes, n_trials, best.length_scale, 4);
+    if (wider.size() >= enough) {
+      const auto wide = factors_of(wider, best, enough);
+      for (std::size_t c = 0; c < Calibration::n_classes; ++c) best.factor[c] = factors[c] * std::pow(factors[c] / wide[c], factors[c] < wide[c] ? 0.25 : 0.5);
+    }
   }
   return best;
 }
@@ -330,8 +381,7 @@ FillReport fill_channel(TableChannel& t, std::size_t channel, const FillOptions&
   const auto fill_cell = [&](std::size_t i, const Place& place, const std::optional<Prediction>& p) {
     if (has_value(t.origin[i])) return;  // weak data (no logarithm), or filled before
     const bool clipped = t.origin[i] == CellOrigin::clipped;
-    const double bound = clipped ? t.mean[i] : 0, factor = calibration.factor[calibration.class_of(p ? p->gap : 0, place.h, kriging.log_cosines(place))] *
-                          (p && p->gap == n_gaps - 1 ? wide_gap_factor : 1);
+    const double bound = clipped ? t.mean[i] : 0, factor = calibration.factor[calibration.class_of(p ? p->gap : 0, place.h, kriging.log_cosines(place))];
     const double sigma = p ? factor * std::sqrt(p->variance) : 0;
     if (p && sigma <= options.max_sigma && std::exp(p->log) >= bound) {
       set_cell(t, i, std::exp(p->log), sigma, CellOrigin::filled);

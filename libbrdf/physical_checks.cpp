@@ -6,6 +6,7 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <numbers>
+#include <optional>
 #include <unordered_map>
 
 #include "libbrdf/error.h"
@@ -93,6 +94,40 @@ Reflectance reflectance(const Brdf& brdf, double theta_i, int resolution) {
   return r;
 }
 
+double relative_variance(const TableChannel& t, std::size_t i) { return double{t.variance[i]} / (double{t.mean[i]} * double{t.mean[i]}); }
+
+/// Measured, and five sigma above zero.
+bool clear(const TableChannel& t, std::size_t i) { return t.origin[i] == CellOrigin::measured && t.mean[i] > 0 && relative_variance(t, i) < 1.0 / 25; }
+
+/// Of ln f over (theta_h, theta_d, phi_d), from the two neighbours along each axis where their samples really were.
+struct LogGradient {
+  glm::dvec3 slope, variance;
+};
+std::optional<LogGradient> log_gradient(const TableChannel& t, std::size_t i) {
+  const TableGrid::Cell c = TableGrid::cell(i);
+  if (c.theta_h == 0 || c.theta_h == TableGrid::n_theta_h - 1 || c.theta_d == 0 || c.theta_d == TableGrid::n_theta_d - 1) return {};
+  LogGradient g;
+  const std::vector<float>* const coordinates[3] = {&t.theta_h, &t.theta_d, &t.phi_d};
+  for (int axis = 0; axis < 3; ++axis) {
+    TableGrid::Cell before = c, after = c;
+    double turn = 0;  // phi_d goes round by pi
+    if (axis == 0) --before.theta_h, ++after.theta_h;
+    if (axis == 1) --before.theta_d, ++after.theta_d;
+    if (axis == 2) {
+      turn = c.phi_d == 0 || c.phi_d == TableGrid::n_phi_d - 1 ? pi : 0;
+      before.phi_d = (c.phi_d + TableGrid::n_phi_d - 1) % TableGrid::n_phi_d;
+      after.phi_d = (c.phi_d + 1) % TableGrid::n_phi_d;
+    }
+    const std::size_t k = TableGrid::index(before), l = TableGrid::index(after);
+    if (!clear(t, k) || !clear(t, l)) return {};
+    const double distance = double{(*coordinates[axis])[l]} - double{(*coordinates[axis])[k]} + turn;
+    if (!(distance > 0)) return {};
+    g.slope[axis] = std::log(double{t.mean[l]} / double{t.mean[k]}) / distance;
+    g.variance[axis] = (relative_variance(t, k) + relative_variance(t, l)) / (distance * distance);
+  }
+  return g;
+}
+
 }  // namespace
 
 void CheckOptions::validate() const {
@@ -144,16 +179,18 @@ PhysicalChecks check_physics(const Brdf& brdf, const CheckOptions& options) {
 }
 
 MirrorRepeatability mirror_repeatability(const TableChannel& t) {
-  constexpr double min_signal = 5;  // sigma
   std::vector<double> logs, sizes, sigmas;
   for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
     const std::size_t j = TableGrid::mirror(i);
-    if (j < i || t.origin[i] != CellOrigin::measured || t.origin[j] != CellOrigin::measured) continue;
-    const double a = t.mean[i], b = t.mean[j], va = t.variance[i], vb = t.variance[j];
-    if (!(a > min_signal * std::sqrt(va) && b > min_signal * std::sqrt(vb))) continue;
-    logs.push_back(std::log(a / b));
+    if (j < i || !clear(t, i) || !clear(t, j)) continue;
+    const auto gradient = log_gradient(t, i), other = log_gradient(t, j);
+    if (!gradient || !other) continue;
+    // To first order of the paint's slope the values move to the same place; the slope's own noise counts.
+    const glm::dvec3 apart(double{t.theta_h[i]} - double{t.theta_h[j]}, double{t.theta_d[i]} - double{t.theta_d[j]}, double{t.phi_d[i]} - (pi - double{t.phi_d[j]}));
+    const glm::dvec3 slope = 0.5 * (gradient->slope + other->slope * glm::dvec3(1, 1, -1));
+    logs.push_back(std::log(double{t.mean[i]} / double{t.mean[j]}) - glm::dot(slope, apart));
     sizes.push_back(std::abs(logs.back()));
-    sigmas.push_back(std::sqrt(va / (a * a) + vb / (b * b)));
+    sigmas.push_back(std::sqrt(relative_variance(t, i) + relative_variance(t, j) + 0.25 * glm::dot(gradient->variance + other->variance, apart * apart)));
   }
   MirrorRepeatability r;
   r.n_pairs = logs.size();

@@ -45,7 +45,8 @@ struct PhysicalChecks {
 PhysicalChecks check_physics(const Brdf& brdf, const CheckOptions& options = {});
 
 /// Free repeatability check of a measured table: cells at phi_d and pi - phi_d were seen by other pixels under other lights, and are equal for
-/// an isotropic paint. Pairs of measured cells, both above five sigma.
+/// an isotropic paint. Pairs of measured cells whose neighbours along each axis are measured too, all above five sigma: the local gradient moves the two
+/// values to the same place, because the samples of the two cells lie at slightly different ones.
 struct MirrorRepeatability {
   std::size_t n_pairs = 0;
   double bias_log = 0;       ///< median of ln(f(phi_d) / f(pi - phi_d)), phi_d < 90 deg

@@ -135,6 +135,7 @@ void lookup(const std::filesystem::path& source, bool smoke) {
       fmt::print("| {} | {} | {:.0f} | {:.5f} | {:.5f} |\n", name, interpolate ? "trilinear" : "nearest cell, as MERL's reader", ns_per_value(directions.all, brdf),
                  mean_abs_log(directions.all, paint, green), mean_abs_log(directions.highlight, paint, green));
     }
+    fmt::print("| {} | the model itself | {:.0f} | 0 | 0 |\n", name, ns_per_value(directions.all, brdf::CookTorranceBrdf(paint)));
     if (smoke) return;
   }
 }

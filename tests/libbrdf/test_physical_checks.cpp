@@ -99,21 +99,52 @@ TEST(PhysicalChecks, OptionsOutOfRangeAreNamed) {
   EXPECT_THROW(check_physics(paint, {.theta_i = {1.6}}), Error);
 }
 
-TEST(MirrorRepeatability, SaysTheNoiseAndTheBiasThatPairsHave) {
-  constexpr double sigma = 0.02, bias = 0.05;
-  HalfAngleTable table = constant_table(1.0f, static_cast<float>(sigma * sigma));
+/// Every cell measured once, at its centre or up to `jitter` cells beside it, of a BRDF that is mirror symmetric and has a slope along all axes.
+HalfAngleTable sloping_table(double jitter, double sigma) {
+  HalfAngleTable table(1);
+  TableChannel& t = table.channels[0];
   std::mt19937 generator(2);
   std::normal_distribution<double> normal;
-  for (std::size_t i = 0; i < TableGrid::n_cells; ++i)
-    table.channels[0].mean[i] = static_cast<float>(1 + sigma * normal(generator));
+  std::uniform_real_distribution<double> beside(-jitter, jitter);
+  for (std::size_t i = 0; i < TableGrid::n_cells; ++i) {
+    const TableGrid::Cell c = TableGrid::cell(i);
+    HalfDiff at = TableGrid::centre(i);
+    at.theta_h += beside(generator) * (TableGrid::theta_h_edge(c.theta_h + 1) - TableGrid::theta_h_edge(c.theta_h));
+    at.theta_d += beside(generator) * std::numbers::pi / 180;
+    at.phi_d += beside(generator) * std::numbers::pi / 180;
+    const double f = std::exp(-2 * at.theta_h - 3 * at.theta_d + std::cos(2 * at.phi_d));
+    t.mean[i] = static_cast<float>(f * (1 + sigma * normal(generator)));
+    t.variance[i] = static_cast<float>(sigma * sigma * f * f);
+    t.count[i] = 1;
+    t.theta_h[i] = static_cast<float>(at.theta_h);
+    t.theta_d[i] = static_cast<float>(at.theta_d);
+    t.phi_d[i] = static_cast<float>(at.phi_d);
+    t.origin[i] = CellOrigin::measured;
+  }
+  return table;
+}
+
+TEST(MirrorRepeatability, SaysTheNoiseAndTheBiasThatPairsHave) {
+  constexpr double sigma = 0.02, bias = 0.05;
+  HalfAngleTable table = sloping_table(0, sigma);
   const MirrorRepeatability noise = mirror_repeatability(table.channels[0]);
-  EXPECT_EQ(noise.n_pairs, TableGrid::n_cells / 2);
+  EXPECT_EQ(noise.n_pairs, 88u * 88u * 90u);  // cells at the ends of theta_h and theta_d have no neighbour on one side
   EXPECT_NEAR(noise.expected_log, sigma * std::numbers::sqrt2, 1e-3);
   EXPECT_NEAR(noise.scatter_log, noise.expected_log, 2e-4);
   EXPECT_NEAR(noise.bias_log, 0, 2e-4);
   for (std::size_t i = 0; i < TableGrid::n_cells; ++i)
     if (TableGrid::cell(i).phi_d < 90) table.channels[0].mean[i] *= static_cast<float>(std::exp(bias));
   EXPECT_NEAR(mirror_repeatability(table.channels[0]).bias_log, bias, 2e-4);
+}
+
+TEST(MirrorRepeatability, IsNotFooledBySamplesThatLieAtDifferentPlacesOfTheTwoCells) {
+  constexpr double sigma = 0.02;
+  // Uniform within 0.4 cells: theta_d alone makes the logarithms of a pair differ by 3 * 0.8 deg / sqrt(12) * sqrt(2) = 0.017, which would make
+  // the scatter 17 % larger than the noise. What is left is of second order: the neighbours that give the slope lie beside their places too.
+  const HalfAngleTable table = sloping_table(0.4, sigma);
+  const MirrorRepeatability r = mirror_repeatability(table.channels[0]);
+  EXPECT_NEAR(r.scatter_log / r.expected_log, 1, 0.03);
+  EXPECT_NEAR(r.expected_log, sigma * std::numbers::sqrt2, 0.1 * sigma);
 }
 
 TEST(SmallerThanFootprint, ComparesTheFootprintWithTheCellsWidth) {
