@@ -3,6 +3,7 @@
 #   ./bench/benchmarks.sh            some ten minutes
 #   ./bench/benchmarks.sh --quick    two paints, two values per knob
 #   ./bench/benchmarks.sh --full     also the paper's plan from raw frames on disk: 12 GB, of which 8 stay for the next run
+#   ./bench/benchmarks.sh --only full  one part of the document: peers, knobs or full
 #   LACQUER_BENCH_FOLDER=DIR         where sessions and frames go, instead of build/release/bench/chain-run
 set -euo pipefail
 cd "$(dirname "$0")/.."

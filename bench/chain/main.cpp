@@ -8,7 +8,9 @@
 #include <map>
 #include <optional>
 
+#include "bench/chain/coarse_table.h"
 #include "bench/chain/full.h"
+#include "bench/chain/peers.h"
 #include "bench/chain/settings.h"
 #include "bench/markdown.h"
 #include "bench/radiometry/machine.h"
@@ -27,6 +29,12 @@ using namespace lacquer::bench;
 struct Arguments {
   bool quick = false, smoke = false, full = false;
   std::string folder = "bench-chain", document, plot, revision = "unknown revision", command = "bench_chain";
+  std::vector<std::string> only;
+
+  bool wanted(const std::string& part) const {
+    if (!only.empty()) return std::find(only.begin(), only.end(), part) != only.end();
+    return part != "full" || full;
+  }
 };
 
 /// One setting over the paints.
@@ -71,10 +79,16 @@ std::vector<Outcome> run_settings(const Arguments& a, const std::vector<Setting>
     std::vector<std::pair<std::string, double>> base_seconds;
     for (Outcome& o : outcomes) {
       if (!o.setting.capture) {
-        const auto fitted = fit::fit_table(*base, o.setting.fit);
+        const std::optional<brdf::HalfAngleTable> coarse = o.setting.coarse > 1 ? std::optional(coarser(*base, o.setting.coarse)) : std::nullopt;
+        const brdf::HalfAngleTable& table = coarse ? *coarse : *base;
         auto seconds = base_seconds;
-        for (auto& [stage, s] : seconds)
-          if (stage == "fit") s = fitted.seconds;
+        const auto set = [&](const std::string& name, double value) {
+          for (auto& [stage, s] : seconds)
+            if (stage == name) s = value;
+        };
+        if (coarse) set("write table", time_repeats(1, [&] { brdf::write_table(fs::path(a.folder) / "coarse.exr", table); }).min_s);
+        const auto fitted = fit::fit_table(table, o.setting.fit);
+        set("fit", fitted.seconds);
         add(o, *paint, fitted.model, static_cast<double>(paints.size()), seconds);
         continue;
       }
@@ -91,6 +105,7 @@ std::vector<Outcome> run_settings(const Arguments& a, const std::vector<Setting>
     }
   }
   fs::remove_all(fs::path(a.folder) / "session");
+  fs::remove(fs::path(a.folder) / "coarse.exr");
   for (Outcome& o : outcomes)
     o.pareto = std::none_of(outcomes.begin(), outcomes.end(), [&](const Outcome& p) {
       return p.total <= o.total && p.median_error() <= o.median_error() && (p.total < o.total || p.median_error() < o.median_error());
@@ -118,7 +133,8 @@ Table slope_table(const std::vector<Outcome>& outcomes) {
   const std::map<std::string, std::pair<double, std::vector<std::string>>> of_knob{{"exposures per view", {8, {"merge"}}},
                                                                                     {"lights per half turn", {61, {"merge", "tabulate"}}},
                                                                                     {"image size", {480 * 360, {"merge", "tabulate"}}},
-                                                                                    {"cells in the fit", {0, {"fit"}}}};
+                                                                                    {"cells in the fit", {0, {"fit"}}},
+                                                                                    {"table resolution", {90, {"write table", "fit"}}}};
   for (const auto& [knob, what] : of_knob)
     for (const std::string& stage : what.second) {
       std::vector<std::pair<double, double>> points;
@@ -133,24 +149,6 @@ Table slope_table(const std::vector<Outcome>& outcomes) {
       t.rows.push_back({knob, stage, fmt::format("{}", points.size()), fmt::format("{:.2f}", (n * sxy - sx * sy) / (n * sxx - sx * sx))});
     }
   return t;
-}
-
-/// The model in a plain loop.
-std::vector<std::vector<std::string>> model_rows() {
-  const brdf::CookTorrance model = brdf::read_model(fs::path(LACQUER_SOURCE_DIR) / "data-samples" / "paints" / "polaris-silber.json");
-  std::vector<brdf::HalfAngleCosines<float>> directions;
-  for (std::size_t i = 0; i < brdf::TableGrid::n_cells; i += 7)
-    if (brdf::TableGrid::reachable(brdf::TableGrid::cell(i), 0.09)) {
-      const auto c = brdf::half_angle_cosines(brdf::TableGrid::centre(i));
-      directions.push_back({static_cast<float>(c.n_dot_i), static_cast<float>(c.n_dot_o), static_cast<float>(c.n_dot_h), static_cast<float>(c.i_dot_h), static_cast<float>(c.tan2_theta_h)});
-    }
-  const auto n = static_cast<double>(directions.size());
-  double sum = 0;
-  const Timing single = time_repeats(5, [&] {
-    for (const auto& c : directions) sum += static_cast<double>(model.value(c).y);
-  });
-  if (!std::isfinite(sum)) throw std::runtime_error("the model is not finite");
-  return {{"model, one value after the other (float)", fmt::format("{:.1f} ns per RGB value", 1e9 * single.min_s / n)}};
 }
 
 Table machine_table(const Arguments& a) {
@@ -169,7 +167,6 @@ Table machine_table(const Arguments& a) {
   t.rows.push_back({"memory, copy", fmt::format("{:.1f} GB/s", 2 * memory.n_values / memory.copy.min_s / 1e9)});
   t.rows.push_back({"disk, write and sync", fmt::format("{:.2f} GB/s", disk.write / 1e9)});
   t.rows.push_back({"disk, read, not cached", fmt::format("{:.2f} GB/s", disk.read / 1e9)});
-  for (auto& row : model_rows()) t.rows.push_back(row);
   return t;
 }
 
@@ -222,12 +219,16 @@ int run(const Arguments& a) {
     std::erase_if(list, [](const Setting& s) { return !s.edits.empty(); });
   }
   std::vector<Table> tables{machine_table(a)};
-  const auto outcomes = run_settings(a, list, paints);
-  tables.push_back(outcome_table(outcomes));
-  tables.push_back(slope_table(outcomes));
-  if (a.full) tables.push_back(full_table(a));
+  std::vector<Outcome> outcomes;
+  if (a.wanted("peers")) tables.push_back({"peers", "Beside other programs and plain loops", peer_rows(a.folder, a.smoke)});
+  if (a.wanted("knobs")) {
+    outcomes = run_settings(a, list, paints);
+    tables.push_back(outcome_table(outcomes));
+    tables.push_back(slope_table(outcomes));
+  }
+  if (a.wanted("full")) tables.push_back(full_table(a));
   for (const Table& t : tables) fmt::print("\n{}\n\n{}", t.title, as_markdown(t));
-  if (!a.plot.empty()) plot(outcomes, a.plot);
+  if (!a.plot.empty() && !outcomes.empty()) plot(outcomes, a.plot);
   if (!a.document.empty()) write_into(a.document, tables);
   for (const Outcome& o : outcomes)
     for (const double e : o.errors)
@@ -243,6 +244,7 @@ int main(int argc, char** argv) {
   app.add_flag("--quick", a.quick, "two paints, two values per knob");
   app.add_flag("--smoke", a.smoke, "a tiny session: that it runs");
   app.add_flag("--full", a.full, "also the paper's plan from raw frames on disk (12 GB in --folder, minutes the first time)");
+  app.add_option("--only", a.only, "parts of the document to renew, beside the machine's table")->check(CLI::IsMember({"peers", "knobs", "full"}));
   app.add_option("--folder", a.folder, "for sessions; the frames of --full stay in it for the next run");
   app.add_option("--document", a.document, "Markdown file whose tables are replaced");
   app.add_option("--plot", a.plot, "error against time, .svg or .png");

@@ -44,6 +44,13 @@ Setting cells(std::size_t n) {
   return s;
 }
 
+Setting resolution(int coarse) {
+  const int n = 90 / coarse;
+  Setting s{"table resolution", fmt::format("{} x {} x {}", n, n, 2 * n), static_cast<double>(n), {}, {}, false};
+  s.coarse = coarse;
+  return s;
+}
+
 Setting lobes(int n) {
   Setting s{"lobes", std::to_string(n), static_cast<double>(n), {}, {}, false};
   s.fit.n_lobes = n;
@@ -53,9 +60,9 @@ Setting lobes(int n) {
 }  // namespace
 
 std::vector<Setting> settings(bool few) {
-  std::vector<Setting> list{{"base", "61 lights, 8 exposures, 480 x 360, 12 bit", 0, {}, {}, true}, exposures(3), lights(9), image_size(240), bits(8), cells(10000), lobes(2)};
+  std::vector<Setting> list{{"base", "61 lights, 8 exposures, 480 x 360, 12 bit", 0, {}, {}, true}, exposures(3), lights(9), image_size(240), bits(8), resolution(2), cells(10000), lobes(2)};
   if (few) return list;
-  list.insert(list.end(), {exposures(2), exposures(5), lights(6), lights(18), image_size(120), image_size(360), bits(10), bits(14), cells(1000), cells(100000), lobes(1), lobes(3)});
+  list.insert(list.end(), {exposures(2), exposures(5), lights(6), lights(18), image_size(120), image_size(360), bits(10), bits(14), resolution(3), resolution(5), cells(1000), cells(100000), lobes(1), lobes(3)});
   return list;
 }
 

@@ -15,7 +15,8 @@ struct Setting {
   double work = 0;  ///< amount of work that the knob stands for, in its own unit: exposures, lights, pixels, cells; 0: none
   std::vector<std::pair<std::string, std::string>> edits;  ///< of the rig file's text, each found exactly once
   fit::FitOptions fit;
-  bool capture = true;  ///< false: only the fit differs, the base's table is used
+  bool capture = true;  ///< false: only table and fit differ, the base's table is used
+  int coarse = 1;       ///< the base's table with cells so many times as wide in each direction
 };
 
 /// The first is the base. `few`: two per knob.
