@@ -18,7 +18,7 @@ def output_of(command):
     done = subprocess.run(["build/release/lacquer", "-q"] + command.split()[1:], cwd=root, capture_output=True, text=True)
     if done.returncode != 0:
         sys.exit(f"{command}: {done.stderr}")
-    return done.stdout.rstrip("\n").split("\n")
+    return done.stdout.replace(str(root), ".").rstrip("\n").split("\n")
 
 
 def renewed(match):
