@@ -38,7 +38,7 @@ class Sum {
 /// Values of both BRDFs at the centre of one cell; `both` false: one of them says nothing.
 struct Comparison {
   glm::dvec3 a{0.0}, b{0.0};
-  double cosines = 0;      ///< cos_i cos_o
+  double cos_i = 0, cos_o = 0;
   double solid_angle = 0;  ///< of the cell, up to a common factor
   bool both = false;
 };
@@ -85,7 +85,7 @@ std::vector<Comparison> evaluate(const Brdf& a, const Brdf& b, const CompareOpti
       if (!value_a || !value_b) continue;
       require_finite(a, *value_a, centre);
       require_finite(b, *value_b, centre);
-      result[i] = {*value_a, *value_b, d.wi.z * d.wo.z, solid_angle_weight(cells[i]), true};
+      result[i] = {*value_a, *value_b, d.wi.z, d.wo.z, solid_angle_weight(cells[i]), true};
     }
   });
   return result;
@@ -132,7 +132,7 @@ double cosine_rms(const std::vector<Comparison>& comparisons, double scale) {
   Sum difference, reference;
   for (const auto& c : comparisons) {
     if (!c.both) continue;
-    const double weight = c.solid_angle * c.cosines * c.cosines;
+    const double weight = c.solid_angle * std::pow(c.cos_i * c.cos_o, 2);
     const glm::dvec3 delta = scale * c.b - c.a;
     for (int channel = 0; channel < 3; ++channel) {
       difference.add(weight * delta[channel] * delta[channel]);
@@ -142,38 +142,20 @@ double cosine_rms(const std::vector<Comparison>& comparisons, double scale) {
   return std::sqrt(difference.value() / reference.value());
 }
 
+double cube_root_rms(const std::vector<Comparison>& comparisons, double scale) {
+  Sum difference, solid_angle;
+  for (const auto& c : comparisons) {
+    if (!c.both) continue;
+    for (int channel = 0; channel < 3; ++channel)
+      difference.add(c.solid_angle * std::pow(std::cbrt(c.cos_i * scale * c.b[channel]) - std::cbrt(c.cos_i * c.a[channel]), 2) / 3);
+    solid_angle.add(c.solid_angle);
+  }
+  return std::sqrt(difference.value() / solid_angle.value());
+}
+
 /// What an ideal sRGB display shows of a radiance, as Lab.
 glm::dvec3 displayed_lab(const glm::dvec3& radiance) {
   return lab_from_linear_srgb(glm::clamp(radiance, 0.0, 1.0));
-}
-
-void compare_lit_spheres(const Brdf& a, const Brdf& b, const CompareOptions& options,
-                         BrdfDifference& result) {
-  const double smallest = min_cosine(options);
-  std::vector<double> differences;
-  for (const glm::dvec3& light : lit_sphere_lights()) {
-    const SphereImage image_a = render_lit_sphere(a, lit_sphere_size, {light});
-    const SphereImage image_b = render_lit_sphere(b, lit_sphere_size, {light});
-    for (std::size_t i = 0; i < image_a.radiance.size(); ++i) {
-      if (!image_a.covered[i] || !image_b.covered[i]) continue;
-      const glm::dvec3 n = sphere_normal(lit_sphere_size, static_cast<int>(i) % lit_sphere_size,
-                                         static_cast<int>(i) / lit_sphere_size)
-                               .value();
-      const double cos_i = n.x * light.x + n.y * light.y + n.z * light.z, cos_o = n.z;
-      if (!(std::min(cos_i, cos_o) > smallest)) continue;
-      differences.push_back(delta_e_2000(displayed_lab(image_a.radiance[i]),
-                                         displayed_lab(result.scale * glm::dvec3(image_b.radiance[i]))));
-    }
-  }
-  result.n_pixels = differences.size();
-  if (differences.empty()) return;
-  Sum sum;
-  for (const double e : differences) sum.add(e);
-  result.delta_e_mean = sum.value() / static_cast<double>(differences.size());
-  const auto rank =
-      static_cast<std::ptrdiff_t>(std::ceil(0.95 * static_cast<double>(differences.size()))) - 1;
-  std::nth_element(differences.begin(), differences.begin() + rank, differences.end());
-  result.delta_e_p95 = differences[static_cast<std::size_t>(rank)];
 }
 
 }  // namespace
@@ -193,6 +175,36 @@ std::array<glm::dvec3, 3> lit_sphere_lights() {
   return {light(20), light(50), light(80)};
 }
 
+LitSphereDifference compare_lit_spheres(const Brdf& a, const Brdf& b, const CompareOptions& options, double scale) {
+  options.validate();
+  const double smallest = min_cosine(options);
+  std::vector<double> differences;
+  for (const glm::dvec3& light : lit_sphere_lights()) {
+    const SphereImage image_a = render_lit_sphere(a, lit_sphere_size, {light});
+    const SphereImage image_b = render_lit_sphere(b, lit_sphere_size, {light});
+    for (std::size_t i = 0; i < image_a.radiance.size(); ++i) {
+      if (!image_a.covered[i] || !image_b.covered[i]) continue;
+      const glm::dvec3 n = sphere_normal(lit_sphere_size, static_cast<int>(i) % lit_sphere_size,
+                                         static_cast<int>(i) / lit_sphere_size)
+                               .value();
+      const double cos_i = n.x * light.x + n.y * light.y + n.z * light.z, cos_o = n.z;
+      if (!(std::min(cos_i, cos_o) > smallest)) continue;
+      differences.push_back(delta_e_2000(displayed_lab(image_a.radiance[i]),
+                                         displayed_lab(scale * glm::dvec3(image_b.radiance[i]))));
+    }
+  }
+  LitSphereDifference result{.n_pixels = differences.size()};
+  if (differences.empty()) return result;
+  Sum sum;
+  for (const double e : differences) sum.add(e);
+  result.mean = sum.value() / static_cast<double>(differences.size());
+  const auto rank =
+      static_cast<std::ptrdiff_t>(std::ceil(0.95 * static_cast<double>(differences.size()))) - 1;
+  std::nth_element(differences.begin(), differences.begin() + rank, differences.end());
+  result.p95 = differences[static_cast<std::size_t>(rank)];
+  return result;
+}
+
 BrdfDifference compare(const Brdf& a, const Brdf& b, const CompareOptions& options) {
   options.validate();
   const std::vector<Comparison> comparisons = evaluate(a, b, options);
@@ -208,7 +220,9 @@ BrdfDifference compare(const Brdf& a, const Brdf& b, const CompareOptions& optio
             a.description(), b.description(), options.max_theta * 180 / pi));
   compare_logs(comparisons, options.scale, result);
   result.cosine_rms = cosine_rms(comparisons, result.scale);
-  compare_lit_spheres(a, b, options, result);
+  result.cube_root_rms = cube_root_rms(comparisons, result.scale);
+  const LitSphereDifference lit = compare_lit_spheres(a, b, options, result.scale);
+  result.n_pixels = lit.n_pixels, result.delta_e_mean = lit.mean, result.delta_e_p95 = lit.p95;
   return result;
 }
 

@@ -44,6 +44,9 @@ struct BrdfDifference {
   double bias_log = 0;  ///< mean ln(b/a)
   /// sqrt(mean (cos_i cos_o (b - a))^2) / sqrt(mean (cos_i cos_o a)^2), solid-angle weighted, all channels.
   double cosine_rms = 0;
+  /// sqrt(mean (cbrt(cos_i b) - cbrt(cos_i a))^2), solid-angle weighted, all channels, sr^(-1/3): close to what eyes call different, because
+  /// a cube root treats highlight and base nearly alike (Fores, Ferwerda, Gu 2012).
+  double cube_root_rms = 0;
   std::size_t n_pixels = 0;  ///< of the lit spheres; 0: none could be compared, delta_e means nothing
   double delta_e_mean = 0;   ///< CIEDE2000 of the lit spheres, mean over their pixels
   double delta_e_p95 = 0;    ///< 95th percentile (nearest rank)
@@ -54,6 +57,13 @@ struct BrdfDifference {
 /// change when A and B are swapped. The result does not depend on the number of threads. Throws Error{input}
 /// when there is no common direction, no direction with both values positive, or a value that is not finite.
 BrdfDifference compare(const Brdf& a, const Brdf& b, const CompareOptions& options = {});
+
+/// CIEDE2000 of the lit spheres alone, as in BrdfDifference; n_pixels 0: nothing could be compared. `scale`: on B.
+struct LitSphereDifference {
+  std::size_t n_pixels = 0;
+  double mean = 0, p95 = 0;
+};
+LitSphereDifference compare_lit_spheres(const Brdf& a, const Brdf& b, const CompareOptions& options = {}, double scale = 1);
 
 /// The three lights of delta_e: 20, 50 and 80 deg from the view direction (highlight near the centre,
 /// half-way, at grazing), at an azimuth of 30 deg, which keeps the pixel rows from repeating each other by

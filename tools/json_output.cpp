@@ -18,7 +18,7 @@ void print_json(const Json& j) { fmt::print("{}\n", j.dump(2, ' ', false, Json::
 
 Json to_json(const brdf::BrdfDifference& d) {
   const auto or_null = [&](double x) { return d.n_pixels ? Json(x) : Json(); };
-  return {{"mean_abs_log", d.mean_abs_log}, {"rms_log", d.rms_log}, {"bias_log", d.bias_log}, {"max_abs_log", d.max_abs_log}, {"cosine_rms", d.cosine_rms},
+  return {{"mean_abs_log", d.mean_abs_log}, {"rms_log", d.rms_log}, {"bias_log", d.bias_log}, {"max_abs_log", d.max_abs_log}, {"cosine_rms", d.cosine_rms}, {"cube_root_rms", d.cube_root_rms},
           {"delta_e_2000_mean", or_null(d.delta_e_mean)}, {"delta_e_2000_p95", or_null(d.delta_e_p95)}, {"scale", d.scale}, {"n_directions", d.n_directions},
           {"n_undefined", d.n_undefined}, {"n_nonpositive", d.n_nonpositive}, {"n_pixels", d.n_pixels}};
 }

@@ -125,6 +125,7 @@ std::string difference_text(const brdf::BrdfDifference& d) {
   text += fmt::format("mean ln ratio          {:+.5f}\n", d.bias_log);
   text += fmt::format("largest |ln ratio|     {:.4f}\n", d.max_abs_log);
   text += fmt::format("cosine-weighted RMS    {:.4f} %\n", 100 * d.cosine_rms);
+  text += fmt::format("cube-root RMS          {:.5f} sr^(-1/3)\n", d.cube_root_rms);
   text += fmt::format("dE2000 of lit sphere   {:.3f} mean, {:.3f} 95th percentile\n", d.delta_e_mean, d.delta_e_p95);
   text += fmt::format("directions compared    {}", d.n_directions);
   if (d.n_undefined) text += fmt::format(" ({} where one of the two says nothing)", d.n_undefined);

@@ -122,6 +122,17 @@ TEST(Metrics, DirectionsStayWithinMaxTheta) {
   EXPECT_EQ(compare(constant, constant, {.max_theta = limit, .phi_d_step = 1}).n_directions, cells);
 }
 
+TEST(Metrics, CubeRootOfConstantsByHand) {
+  // cbrt(cos_i) (2 - 1) with a = 1, b = 8: the mean of cos_i^(2/3) over directions, its square root. wi within 90 degrees of the normal, both
+  // directions weighed by their solid angles: the mean over the hemisphere is the integral of c^(2/3) dc from 0 to 1, 3/5.
+  const FunctionBrdf one([](const Directions&) { return glm::dvec3(1.0); }), eight([](const Directions&) { return glm::dvec3(8.0); });
+  EXPECT_NEAR(compare(one, eight, {.max_theta = 89.9 * degree, .phi_d_step = 1}).cube_root_rms, std::sqrt(0.6), 5e-3);
+  EXPECT_EQ(compare(one, one, {.phi_d_step = 30}).cube_root_rms, 0);
+  EXPECT_NEAR(compare(one, eight, {.phi_d_step = 30, .scale = true}).cube_root_rms, 0, 1e-12);
+  const FunctionBrdf black([](const Directions&) { return glm::dvec3(0, 1, 1); });  // one channel differs by 1 of 3
+  EXPECT_NEAR(compare(one, black, {.phi_d_step = 30}).cube_root_rms * std::sqrt(3.0), compare(one, eight, {.phi_d_step = 30}).cube_root_rms, 1e-12);
+}
+
 TEST(Metrics, HolesAreCountedAndLeftOut) {
   // B says nothing for theta_h above 30 deg and is twice A elsewhere.
   const FunctionBrdf holes([](const Directions& d) -> std::optional<glm::dvec3> {
