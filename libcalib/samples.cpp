@@ -349,9 +349,11 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
       if (progress) progress("tabulate", i + 1, views.size());
     }
   }
-  Tabulation result{accumulator.table(true), counts};
+  Tabulation result{accumulator.table(true), counts, {}};
   result.table.absolute_scale = calibration.absolute_scale;
-  result.table.scale_sigma = std::hypot(drift_scale_sigma(session, calibration), calibration.scale_sigma);
+  if (const auto moved = moved_calibrations(session, calibration)) result.geometry_sigma = geometry_sigma(session, calibration, *moved);
+  // The irradiance of a light falls with the square of its distance.
+  result.table.scale_sigma = std::hypot(drift_scale_sigma(session, calibration), calibration.scale_sigma, 2 * result.geometry_sigma.distance);
   return result;
 }
 

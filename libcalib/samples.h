@@ -11,6 +11,7 @@
 #include "libbrdf/table.h"
 #include "libbrdf/table_accumulator.h"
 #include "libcalib/calibration.h"
+#include "libcalib/geometry_moves.h"
 #include "libcalib/radiance_image.h"
 #include "libcalib/sample_kernel.h"
 
@@ -122,8 +123,9 @@ class Sampler {
 /// Radiance images of a session's measurement views -> half-angle table, two images in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d
 /// was measured take its value, flagged `symmetric`. Errors{file} from missing radiance images name the file.
 struct Tabulation {
-  brdf::HalfAngleTable table;
+  brdf::HalfAngleTable table;  ///< scale_sigma contains what the lights' distance is known to: twice its relative error, in all values alike
   SampleCounts counts;
+  GeometrySigma geometry_sigma;  ///< 0: not known, the geometry was not estimated
 };
 Tabulation tabulate_session(const acquire::Session& session, const Calibration& calibration, const SampleOptions& options,
                             const Progress& progress);

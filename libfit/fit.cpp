@@ -28,6 +28,8 @@ namespace {
 constexpr std::size_t subset_cells = 5000;
 /// Cells on which a fit of many more is brought near its minimum, so that all of them need only the last steps.
 constexpr std::size_t middle_cells = 40000;
+/// A profile takes some seconds per parameter on many more.
+constexpr std::size_t most_cells_profiled = 100000;
 /// Up to this many lobes are tried where their number is not given.
 constexpr int most_lobes_chosen = 3;
 /// Relative sigma of the subset's fits at least: far from the minimum a smaller one makes every cell an
@@ -276,8 +278,10 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   result.n_bounds = all.n_bounds;
   const glm::dvec3 albedo = normal_incidence_albedo(result.model);
   result.energy = std::max({albedo.x, albedo.y, albedo.z});
-  if (options.profile)
-    add_profiles(Objective(all, layout, objective_options), layout.pack(result.model), refinement(options, exact), result);
+  if (options.profile || all.n_cells <= most_cells_profiled)
+    add_profiles(Objective(all, layout, objective_options), layout.pack(result.model), refinement(options, exact),
+                 options.profile ? Profiled::all : Profiled::misleading, result);
+  add_half_vector_error(options.half_vector_sigma, result);
   add_scale_error(table.scale_sigma, result);
   step_done(4);
   return result;
@@ -300,6 +304,7 @@ void FitOptions::validate() const {
   require(robust_scale > 0, fmt::format("robust_scale: expected a positive number, got {}", robust_scale));
   require(energy_weight >= 0 && std::isfinite(energy_weight),
           fmt::format("energy_weight: expected 0 or more, got {}", energy_weight));
+  require(half_vector_sigma >= 0 && half_vector_sigma < 1, fmt::format("half_vector_sigma: expected 0 to 1 rad, got {}", half_vector_sigma));
   require(max_iterations >= 1, fmt::format("max_iterations: expected at least 1, got {}", max_iterations));
 }
 

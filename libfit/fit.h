@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "libbrdf/cook_torrance.h"
+#include "libbrdf/metrics.h"
 #include "libbrdf/progress.h"
 #include "libbrdf/table.h"
 
@@ -29,7 +30,10 @@ struct FitOptions {
   bool limit_groups = true;
   /// Where the structure is chosen, GGX and the exact Fresnel term of a dielectric are tried lobe by lobe beside the paper's forms.
   bool other_forms = true;
-  bool profile = false;  ///< profile intervals of all parameters, see profile.h; minutes on a full table
+  /// Profile intervals of all parameters, see profile.h; minutes on a full table. Without it: of those whose error reaches a bound or their
+  /// own size, where at most 100 000 cells are used.
+  bool profile = false;
+  double half_vector_sigma = 0;  ///< radians, of half vectors against normals, as the geometry is known: blurs lobes, in the error of m
   bool ceres = false;    ///< Ceres' solver instead of our own, to check one by the other; slower
   int max_iterations = 200;
   unsigned threads = 0;   ///< 0: all; the result does not depend on it
@@ -75,6 +79,14 @@ struct Candidate {
   bool pareto = false;       ///< none that was tried evaluates faster and is as near (mean_abs_log); set with evaluation_ns
 };
 
+/// How far the model is from what it was fitted to, by several measures, and how far its errors let it be.
+struct FitMetrics {
+  brdf::BrdfDifference difference;  ///< of the model from the table, directions within 80 deg
+  std::size_t probe_pixels = 0;     ///< of a sphere under a light probe; 0: none was rendered
+  double probe_delta_e_mean = 0, probe_delta_e_p95 = 0;  ///< CIEDE2000 there
+  double delta_e_of_errors = 0;     ///< CIEDE2000 of lit spheres, mean, between the model and models drawn from its covariance
+};
+
 /// Why cells of a table did not enter the fit; one count per cell and channel.
 struct LeftOut {
   std::size_t grazing = 0;  ///< a cosine <= FitOptions::min_cosine
@@ -111,6 +123,7 @@ struct FitResult {
   bool converged = false;  ///< a status, not an error
   std::string message;     ///< of the solver
   FitOptions options;      ///< as used
+  std::optional<FitMetrics> metrics = std::nullopt;  ///< by whoever can render; not by the fit
   double seconds = 0;
 };
 

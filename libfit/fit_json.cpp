@@ -103,6 +103,21 @@ Json errors(const FitResult& fit) {
             {"not_measured", fit.left_out.not_measured}}}};
 }
 
+Json metrics(const FitMetrics& m) {
+  const brdf::BrdfDifference& d = m.difference;
+  const auto or_null = [](double x, std::size_t n) { return n ? Json(x) : Json(nullptr); };
+  return {{"mean_abs_log", d.mean_abs_log},
+          {"rms_log", d.rms_log},
+          {"cosine_rms", d.cosine_rms},
+          {"cube_root_rms", d.cube_root_rms},
+          {"delta_e_2000_mean", or_null(d.delta_e_mean, d.n_pixels)},
+          {"delta_e_2000_p95", or_null(d.delta_e_p95, d.n_pixels)},
+          {"probe_delta_e_2000_mean", or_null(m.probe_delta_e_mean, m.probe_pixels)},
+          {"probe_delta_e_2000_p95", or_null(m.probe_delta_e_p95, m.probe_pixels)},
+          {"delta_e_2000_of_errors", m.delta_e_of_errors},
+          {"n_directions", d.n_directions}};
+}
+
 Json options(const FitOptions& o) {
   return {{"n_lobes", o.n_lobes ? Json(*o.n_lobes) : Json(nullptr)},
           {"n_starts", o.n_starts},
@@ -115,6 +130,7 @@ Json options(const FitOptions& o) {
           {"limit_groups", o.limit_groups},
           {"other_forms", o.other_forms},
           {"profile", o.profile},
+          {"half_vector_sigma", o.half_vector_sigma},
           {"solver", o.ceres ? "ceres" : "own"},
           {"max_iterations", o.max_iterations}};
 }
@@ -133,6 +149,7 @@ std::string fit_to_json(const FitResult& fit, bool absolute_scale, const std::st
   j["covariance"] = covariance(fit, false);
   j["correlation"] = covariance(fit, true);
   j["errors"] = errors(fit);
+  if (fit.metrics) j["metrics"] = metrics(*fit.metrics);
   j["candidates"] = candidates(fit);
   j["minima"] = minima(fit);
   j["options"] = options(fit.options);

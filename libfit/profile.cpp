@@ -58,20 +58,29 @@ class Side {
   double bound_;
 };
 
+/// `sigma`: of the solver's parameter, ln(m) for m.
+bool misleads(double x, double sigma, double lower, double upper, bool is_log) {
+  return x - 2 * sigma < lower || x + 2 * sigma > upper || (is_log && 2 * sigma > 0.5);
+}
+
 }  // namespace
 
-void add_profiles(const Objective& objective, const std::vector<double>& x, const SolverOptions& solver, FitResult& result) {
-  const double cost = objective.cost(x);
+void add_profiles(const Objective& objective, const std::vector<double>& x, const SolverOptions& solver, Profiled which, FitResult& result) {
   const std::vector<double> lower = objective.layout().lower_bounds(solver.min_m), upper = objective.layout().upper_bounds();
-  std::vector<int> wanted;
-  for (int k = 0; k < objective.layout().size(); ++k)
-    if (result.parameters[k].determined && result.parameters[k].sigma > 0) wanted.push_back(k);
   std::vector<bool> is_log(x.size(), false);
   for (int l = 0; l < objective.layout().n_lobes(); ++l) is_log[objective.layout().log_m(l)] = true;
+  const auto sigma_of = [&](int k) { return is_log[k] ? result.parameters[k].sigma / result.parameters[k].value : result.parameters[k].sigma; };
+  std::vector<int> wanted;
+  for (int k = 0; k < objective.layout().size(); ++k)
+    if (result.parameters[k].determined && result.parameters[k].sigma > 0 &&
+        (which == Profiled::all || misleads(x[k], sigma_of(k), lower[k], upper[k], is_log[k])))
+      wanted.push_back(k);
+  if (wanted.empty()) return;
+  const double cost = objective.cost(x);
   tbb::parallel_for(std::size_t{0}, wanted.size(), [&](std::size_t i) {
     const int k = wanted[i];
     Parameter& p = result.parameters[k];
-    const double sigma = is_log[k] ? p.sigma / p.value : p.sigma;
+    const double sigma = sigma_of(k);
     const auto value = [&](double at) { return is_log[k] ? std::exp(at) : at; };
     const Side below(objective, x, cost, solver, k, lower[k]), above(objective, x, cost, solver, k, upper[k]);
     p.profile = ProfileInterval{.low68 = value(below.end(-sigma, 1, p.inflation)),

@@ -269,6 +269,17 @@ void add_scale_error(double scale_sigma, FitResult& result) {
     if (scales(i)) result.parameters[i].sigma = std::sqrt(result.covariance[i * n + i]);
 }
 
+void add_half_vector_error(double sigma, FitResult& result) {
+  const std::size_t n = result.parameters.size();
+  for (std::size_t i = 0; i < n; ++i) {
+    Parameter& p = result.parameters[i];
+    if (p.name[0] != 'm' || !(p.sigma > 0)) continue;
+    p.calibration_sigma = std::hypot(p.value, sigma) - p.value;
+    result.covariance[i * n + i] += p.calibration_sigma * p.calibration_sigma;
+    p.sigma = std::sqrt(result.covariance[i * n + i]);
+  }
+}
+
 void add_calibration_error(const ParameterLayout& layout, const Quadratic& here, const std::vector<Quadratic>& moved, FitResult& result) {
   const auto n = static_cast<std::size_t>(layout.size());
   std::vector<int> live;  // what has an error can have this one too

@@ -23,6 +23,10 @@ void add_uncertainty(const ParameterLayout& layout, const std::vector<double>& x
 /// kd and ks are proportional to the scale, m and r do not depend on it: its relative error is one more, common term of their covariance.
 void add_scale_error(double scale_sigma, FitResult& result);
 
+/// Half vectors that are off by `sigma` radians (RMS) point elsewhere in every view, so that they blur a lobe rather than move it: m^2 + sigma^2
+/// in place of m^2. What m may be off by then joins its error.
+void add_half_vector_error(double sigma, FitResult& result);
+
 /// Adds to the covariance what errors of the calibration make of the parameters. `moved`: quadratics at the same solution of the data as it
 /// would be with each independent error one standard error large; the parameters would follow by a Gauss-Newton step.
 void add_calibration_error(const ParameterLayout& layout, const Quadratic& here, const std::vector<Quadratic>& moved, FitResult& result);

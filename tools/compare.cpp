@@ -8,6 +8,7 @@
 #include "libbrdf/error.h"
 #include "libbrdf/metrics.h"
 #include "tools/json_output.h"
+#include "tools/fit_metrics.h"
 #include "tools/report_page.h"
 #include "tools/summary.h"
 
@@ -26,6 +27,7 @@ struct Compared {
   std::string file;
   std::shared_ptr<const brdf::Brdf> brdf;
   brdf::BrdfDifference difference;  ///< from the reference
+  ProbeDifference probe;
 };
 
 /// {"version": 1, "software", "command", "inputs", "a", "b", "max_theta_deg", "metrics"}; with more than two files also "others": [{"file",
@@ -36,10 +38,16 @@ nlohmann::ordered_json result_json(const Options& options, const Context& contex
   j["a"] = entry(options.files[0], a);
   j["b"] = entry(others[0].file, *others[0].brdf);
   j["max_theta_deg"] = options.max_theta_deg;
-  j["metrics"] = to_json(others[0].difference);
+  const auto metrics = [](const Compared& c) {
+    nlohmann::ordered_json m = to_json(c.difference);
+    m["probe_delta_e_2000_mean"] = c.probe.n ? nlohmann::ordered_json(c.probe.mean) : nlohmann::ordered_json();
+    m["probe_delta_e_2000_p95"] = c.probe.n ? nlohmann::ordered_json(c.probe.p95) : nlohmann::ordered_json();
+    return m;
+  };
+  j["metrics"] = metrics(others[0]);
   for (std::size_t i = 1; i < others.size(); ++i) {
     j["others"].push_back(entry(others[i].file, *others[i].brdf));
-    j["others"].back()["metrics"] = to_json(others[i].difference);
+    j["others"].back()["metrics"] = metrics(others[i]);
   }
   return j;
 }
@@ -57,7 +65,7 @@ std::string to_text(const Options& options, const brdf::Brdf& a, const std::vect
   for (std::size_t i = 0; i < others.size(); ++i) {
     const auto& d = others[i].difference;
     if (others.size() > 1) text += fmt::format("\n{} against A\n", static_cast<char>('B' + i));
-    text += difference_text(d);
+    text += difference_text(d) + to_text(others[i].probe);
     if (d.n_nonpositive) text += fmt::format("values <= 0            {} channel values left out of the ln ratios\n", d.n_nonpositive);
     if (d.n_pixels == 0) text += "no pixel of the lit sphere is defined in both: dE2000 means nothing\n";
   }
@@ -89,7 +97,8 @@ void add_compare(CLI::App& app, Context& context) {
     std::vector<Compared> others;
     for (std::size_t i = 1; i < options->files.size(); ++i) {
       std::shared_ptr<const brdf::Brdf> b = brdf::load_brdf(options->files[i]);
-      others.push_back({options->files[i], b, brdf::compare(*a, *b, options->compare)});
+      const brdf::BrdfDifference difference = brdf::compare(*a, *b, options->compare);
+      others.push_back({options->files[i], b, difference, probe_difference(*a, *b, difference.scale)});
     }
     if (context.json)
       print_json(result_json(*options, context, *a, others));

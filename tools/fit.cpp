@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <cmath>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -9,9 +10,14 @@
 #include "libbrdf/error.h"
 #include "libbrdf/files.h"
 #include "libbrdf/table.h"
+#include "libcalib/calibration.h"
+#include "libcalib/drift_session.h"
+#include "libcalib/geometry_moves.h"
 #include "libfit/fit.h"
 #include "tools/command.h"
+#include "tools/fit_metrics.h"
 #include "tools/fit_table.h"
+#include "tools/geometry_provenance.h"
 #include "tools/session_samples.h"
 #include "tools/summary.h"
 
@@ -52,11 +58,32 @@ std::string candidate_table(const fit::FitResult& fit) {
   return text + "\n";
 }
 
+std::string metrics_text(const fit::FitMetrics& m) {
+  const brdf::BrdfDifference& d = m.difference;
+  std::string text = fmt::format("cosine RMS  {:.4g} %   weighted by cosines and solid angles, within 80 deg of the normal\ncube root   {:.4g} sr^(-1/3)   RMS of cube roots\n",
+                                 100 * d.cosine_rms, d.cube_root_rms);
+  if (d.n_pixels) text += fmt::format("dE2000      {:.3f} mean, {:.3f} 95 %   sphere under point lights\n", d.delta_e_mean, d.delta_e_p95);
+  if (m.probe_pixels) text += fmt::format("dE2000      {:.3f} mean, {:.3f} 95 %   sphere under the light probe\n", m.probe_delta_e_mean, m.probe_delta_e_p95);
+  return text + fmt::format("dE2000      {:.3f} mean   between the fit and what its standard errors allow\n", m.delta_e_of_errors);
+}
+
+/// Which errors of the geometry are in the parameters' standard errors.
+std::string calibration_text(const fit::FitResult& fit) {
+  double largest = 0;
+  const fit::Parameter* of = nullptr;
+  for (const fit::Parameter& p : fit.parameters)
+    if (p.sigma > 0 && p.calibration_sigma > largest * p.sigma) largest = p.calibration_sigma / p.sigma, of = &p;
+  if (!of) return "";
+  return fmt::format("geometry    its errors are in the standard errors: up to {:.0f} % of them ({})\n", 100 * largest, of->name);
+}
+
 std::string to_text(const std::string& input, const std::string& description, const std::string& output, const fit::FitResult& fit, bool samples) {
   std::string text = fmt::format("input        {} ({})\n\n", input, description);
   text += parameter_table(fit, nullptr);
   text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n",
                       fit.mean_abs_log, fit.rms_log);
+  if (fit.metrics) text += metrics_text(*fit.metrics);
+  text += calibration_text(fit);
   text += fmt::format("chi2/n       {:.4g}{}\n", fit.reduced_chi2,
                       fit.reduced_chi2 > 1 ? "   above 1: standard errors are scaled up by its root" : "");
   if (fit.shared_error > 0)
@@ -89,7 +116,13 @@ std::string output_of(const Options& options, const std::string& input) {
 void refit_to_samples(const Options& options, const std::filesystem::path& folder, bool absolute_scale, const Context& context, fit::FitResult& fit) {
   const auto session = std::make_shared<const acquire::Session>(acquire::read_session(folder));
   const calib::Calibration calibration = calib::read_calibration(folder / "calibration.json");
-  fit = fit::fit_samples(session_samples(session, calibration, options.sample_options), fit, absolute_scale, {}, stderr_progress(context));
+  const auto source = [&](const calib::Calibration& c) { return session_samples(session, c, options.sample_options); };
+  std::vector<fit::SampleSource> perturbed;
+  if (const auto moved = calib::moved_calibrations(*session, calibration))
+    for (const calib::Calibration& c : *moved) perturbed.push_back(source(c));
+  // Distances of the lights are among what is moved.
+  fit.scale_sigma = std::hypot(calib::drift_scale_sigma(*session, calibration), calibration.scale_sigma);
+  fit = fit::fit_samples(source(calibration), fit, absolute_scale, perturbed, stderr_progress(context));
 }
 
 /// Fits one input and reports on it.
@@ -98,12 +131,15 @@ NamedFit fit_one(const Options& options, const std::string& given, const Context
   const auto input = brdf::load_brdf(name);
   std::optional<brdf::HalfAngleTable> storage;
   const brdf::HalfAngleTable& table = table_of(*input, options.fit.min_cosine, storage);
-  NamedFit named{std::filesystem::path(name).stem().string(), fit::fit_table(table, options.fit, stderr_progress(context))};
+  fit::FitOptions fit_options = options.fit;
+  fit_options.half_vector_sigma = half_vector_sigma_of(table.provenance_json);
+  NamedFit named{std::filesystem::path(name).stem().string(), fit::fit_table(table, fit_options, stderr_progress(context))};
   if (options.samples) {
     named.name = std::filesystem::path(given).filename().string();
     refit_to_samples(options, given, table.absolute_scale, context, named.fit);
   }
   fit::add_evaluation_costs(named.fit);
+  add_metrics(*input, named.fit);
   const std::string provenance = provenance_json(context, {name}), output = output_of(options, name);
   if (!output.empty()) fit::write_fit(output, named.fit, table.absolute_scale, provenance);
   if (context.json)
@@ -145,7 +181,7 @@ void add_fit(CLI::App& app, Context& context) {
       ->add_option("--max-theta-deg", options->max_theta_deg,
                    "leave out light and camera directions beyond this")
       ->capture_default_str();
-  command->add_flag("--profile", o.profile, "profile intervals of the parameters; takes minutes on a full table");
+  command->add_flag("--profile", o.profile, "profile intervals of all parameters; takes minutes on a full table");
   command->add_option_function<std::string>("--solver", [&o](const std::string& name) { o.ceres = name == "ceres"; },
                                             "own, or ceres to check one by the other")
       ->check(CLI::IsMember({"own", "ceres"}));

@@ -55,7 +55,7 @@ void print_text(const Measurement& m, const brdf::CookTorrance* truth) {
   fmt::print("{}\n", parameter_table(m.fit, truth));
   fmt::print("scale: {}\n", m.tabulation.table.absolute_scale ? "absolute, 1/sr" : "relative (no reference of known reflectance)");
   if (const double sigma = m.tabulation.table.scale_sigma; sigma > 0)
-    fmt::print("known to {:.2g} % from following the lights; this is in the errors of kd and ks, which share it\n", 100 * sigma);
+    fmt::print("known to {:.2g} %, from how steady the lights were and how far away they stand; this is in the errors of kd and ks, which share it\n", 100 * sigma);
   fmt::print("fit to the table: mean |ln(fit/table)| {:.5f} over {} cells, chi2/n {:.2f}{}\n", m.fit.mean_abs_log, m.fit.n_cells, m.fit.reduced_chi2,
              m.fit.converged ? "" : emphasised("; the solver did NOT converge: " + m.fit.message, Emphasis::warning, stdout));
   fmt::print("{}\n", rerender_text(m.view_errors));

@@ -5,6 +5,7 @@
 #include "libacquire/open_rig.h"
 #include "libbrdf/files.h"
 #include "libcalib/merge_session.h"
+#include "tools/geometry_provenance.h"
 
 namespace lacquer::tools {
 
@@ -67,12 +68,14 @@ Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const br
   }
   calib::write_calibration(folder / "calibration.json", m.calibration, options.provenance_json);
   m.tabulation = calib::tabulate_session(m.session, m.calibration, options.samples, progress);
-  m.tabulation.table.provenance_json = options.provenance_json;
+  m.tabulation.table.provenance_json = with_geometry_sigma(options.provenance_json, m.tabulation.geometry_sigma);
   m.seconds.emplace_back("tabulate", watch.lap());
 
   brdf::write_table(folder / "table.exr", m.tabulation.table);
   m.seconds.emplace_back("write table", watch.lap());
-  m.fit = fit::fit_table(m.tabulation.table, options.fit, progress);
+  fit::FitOptions fit_options = options.fit;
+  fit_options.half_vector_sigma = m.tabulation.geometry_sigma.half_vector_rad;
+  m.fit = fit::fit_table(m.tabulation.table, fit_options, progress);
   fit::write_fit(folder / "fit.json", m.fit, m.tabulation.table.absolute_scale, options.provenance_json);
   m.seconds.emplace_back("fit", watch.lap());
   calib::RerenderOptions rerender;

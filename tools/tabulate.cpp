@@ -10,6 +10,7 @@
 #include "libcalib/calibration.h"
 #include "libcalib/samples.h"
 #include "tools/json_output.h"
+#include "tools/geometry_provenance.h"
 #include "tools/summary.h"
 
 namespace lacquer::tools {
@@ -50,7 +51,7 @@ void add_tabulate(CLI::App& app, Context& context) {
       n_narrow += middle.origin[i] == brdf::CellOrigin::measured && brdf::smaller_than_footprint(middle, i);
     }
     repeatability += fmt::format("cells narrower in theta_h than a pixel's footprint: {} of {}\n", n_narrow, n_measured);
-    result.table.provenance_json = provenance.dump();
+    result.table.provenance_json = with_geometry_sigma(provenance.dump(), result.geometry_sigma);
     const std::filesystem::path output = options->output.empty() ? folder / "table.exr" : std::filesystem::path(options->output);
     brdf::write_table(output, result.table);
     if (context.json) {

@@ -48,6 +48,26 @@ TEST(Profile, EndsAtABoundAndIsLopsidedBesideIt) {
   EXPECT_GT(r.profile->high95, std::max(r.value, 0.0001));
 }
 
+TEST(Profile, ComesByItselfForTheParameterWhoseErrorReachesItsBound) {
+  const fit::FitResult fit = fit::fit_table(with_noise(table_of(one_lobe(0.02, 0.0001), 1009), 0.2, 0, 8), {.n_lobes = 1, .model_sigma = 1e-3});
+  EXPECT_TRUE(named(fit, "r1").profile);
+  for (const char* name : {"kd.r", "ks1.g", "m1"}) EXPECT_FALSE(named(fit, name).profile) << name;
+}
+
+TEST(CalibrationErrors, HalfVectorsThatAreOffWidenTheErrorOfMByWhatTheyBlur) {
+  const brdf::HalfAngleTable table = with_noise(table_of(one_lobe(0.02, 0.4), 101), 0.05, 0, 4);
+  fit::FitOptions options{.n_lobes = 1, .model_sigma = 1e-3};
+  const fit::FitResult sharp = fit::fit_table(table, options);
+  options.half_vector_sigma = 0.02;
+  const fit::FitResult blurred = fit::fit_table(table, options);
+  // A lobe of 0.2 seen through a Gaussian of half vectors of 0.02 in all has m^2 = 0.2^2 + 0.02^2.
+  const double expected = std::sqrt(0.04 + 0.0004) - 0.2;
+  EXPECT_NEAR(named(blurred, "m1").calibration_sigma, expected, 0.01 * expected);
+  EXPECT_NEAR(named(blurred, "m1").sigma, std::hypot(named(sharp, "m1").sigma, expected), 0.01 * expected);
+  EXPECT_EQ(named(blurred, "m1").value, named(sharp, "m1").value);
+  EXPECT_EQ(named(blurred, "ks1.r").sigma, named(sharp, "ks1.r").sigma);
+}
+
 /// Written and read back.
 fit::FittedModel stored(const fit::FitResult& fit) {
   TemporaryFolder folder;

@@ -61,7 +61,7 @@ TEST(CompareCommand, AFileWithItselfGivesZero) {
   ASSERT_EQ(result.exit_code, 0) << result.err;
   const auto metrics = nlohmann::json::parse(result.out).at("metrics");
   for (const char* name :
-       {"mean_abs_log", "rms_log", "max_abs_log", "cosine_rms", "delta_e_2000_mean", "delta_e_2000_p95"})
+       {"mean_abs_log", "rms_log", "max_abs_log", "cosine_rms", "cube_root_rms", "delta_e_2000_mean", "delta_e_2000_p95", "probe_delta_e_2000_mean"})
     EXPECT_EQ(metrics.at(name).get<double>(), 0.0) << name;
 }
 

@@ -21,7 +21,7 @@ TEST(FitCommand, AModelGoesInAndTheSameModelComesOutWithErrors) {
                                         " --max-cells 10000 --model-sigma 1e-4");
   EXPECT_EQ(run.exit_code, 0) << run.err;
   EXPECT_EQ(run.err, "");
-  for (const char* text : {"kd.r", "ks3.b", "m3", "mean |ln|", "cells", "minimum 1", "time", " ± "})
+  for (const char* text : {"kd.r", "ks3.b", "m3", "mean |ln|", "cosine RMS", "cube root", "dE2000", "cells", "minimum 1", "time", " ± "})
     EXPECT_NE(run.out.find(text), std::string::npos) << text << "\n" << run.out;
   const brdf::CookTorrance truth = brdf::read_model(paint_file("opel-titan")), fit = brdf::read_model(output);
   for (std::size_t l = 0; l < 3; ++l) {
@@ -41,6 +41,10 @@ TEST(FitCommand, JsonOnStdoutIsWhatGoesToTheFile) {
   EXPECT_EQ(j.at("lobes").size(), 2u);
   EXPECT_EQ(j.at("options").at("max_cells"), 5000);
   EXPECT_EQ(j.at("provenance").at("inputs").size(), 1u);
+  for (const char* metric : {"mean_abs_log", "cosine_rms", "cube_root_rms", "delta_e_2000_mean", "probe_delta_e_2000_mean", "delta_e_2000_of_errors"}) {
+    EXPECT_GE(j.at("metrics").at(metric).get<double>(), 0) << metric;
+    EXPECT_LT(j.at("metrics").at(metric).get<double>(), 0.5) << metric;
+  }
 }
 
 TEST(FitCommand, SeveralPaintsGiveOneTableInTheirOrder) {
