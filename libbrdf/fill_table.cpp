@@ -5,8 +5,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <numbers>
 #include <optional>
 #include <random>
@@ -195,13 +193,13 @@ double percentile_95(std::vector<double>& values) {
 }
 
 /// The pattern around a hole, laid around a known cell: where the cell that it asks for is not known, the next one along the same line stands in.
-/// `scale`: the whole pattern this many times as far apart; `mirrored`: phi_d turned round.
-Pattern laid_around(const Kriging& kriging, const Place& donor, const Pattern& pattern, int scale, bool mirrored, bool inwards_first) {
+/// `scale`: the whole pattern this many times as far apart.
+Pattern laid_around(const Kriging& kriging, const Place& donor, const Pattern& pattern, int scale, bool inwards_first) {
   Pattern laid;
   for (int k = 0; k < pattern.n; ++k) {
     const Place& o = pattern.offset[static_cast<std::size_t>(k)];
     const int steps = std::max({std::abs(o.h), std::abs(o.d), std::abs(o.p)});
-    const Place unit{o.h / steps, o.d / steps, mirrored ? -o.p / steps : o.p / steps};
+    const Place unit{o.h / steps, o.d / steps, o.p / steps};
     for (int change = 0; change < 6; ++change) {  // 0, +1, -1, +2, -2, +3, or the other way round
       const int size = (change + 1) / 2, j = scale * steps + ((change % 2 == 1) != inwards_first ? size : -size);
       const Place offset{j * unit.h, j * unit.d, j * unit.p};
@@ -233,14 +231,11 @@ std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& h
       pattern = kriging.pattern(hole);
     }
     for (int attempt = 0; attempt < 48 && pattern.n >= 4; ++attempt) {
-      // The donor of the truth: along phi_d first, where the paint changes least. Its values are symmetric about 0 and about 90 deg of phi_d, where
-      // gaps are bridged otherwise than between: every other donor has the hole's distance from the other one of them.
-      const int wide = attempt / 16;
-      const bool mirrored = false;
-      const int p = mirrored ? FoldedChannel::n_p - 1 - hole.p + below(7) - 3 : hole.p + below(91) - 45;
+      const int wide = attempt / 16;  // the donor of the truth: along phi_d first, where the paint changes least
+      const int p = hole.p + below(91) - 45;
       const Place donor{hole.h + below(4 * wide + 1) - 2 * wide, hole.d + below(6 * wide + 3) - 3 * wide - 1, p};
       if (!kriging.known(donor)) continue;
-      const Pattern laid = laid_around(kriging, donor, pattern, scale, mirrored, below(4) == 0);
+      const Pattern laid = laid_around(kriging, donor, pattern, scale, below(4) == 0);
       if (laid.n * 10 < pattern.n * 8) continue;
       experiments.push_back({donor, laid, static_cast<double>(laid.nearest()) / pattern.nearest()});
       break;
@@ -310,8 +305,8 @@ Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, s
   best.factor = factors;
   std::nth_element(stretches.begin(), stretches.begin() + static_cast<std::ptrdiff_t>(stretches.size() / 2), stretches.end());
   if (stretches[stretches.size() / 2] > 1.5) {
-    // Where every other row is missing, no known cell has its data as near as the holes have: what twice the distance does to the factor, half
-    // of it undoes.
+    // Where every other row is missing, no known cell has its data as near as the holes have. What doubling the distance does to the factor,
+    // halving it undoes in part: half of it where the factor grows, a quarter where it falls, because too narrow bounds do more harm.
     const std::vector<Trial> wider = trials_of(kriging, holes, n_trials, best.length_scale, 4);
     if (wider.size() >= enough) {
       const auto wide = factors_of(wider, best, enough);
