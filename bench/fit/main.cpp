@@ -247,12 +247,12 @@ int main(int argc, char** argv) {
   app.add_option("--scipy-limit-s", limit_s, "SciPy is stopped after this time")->capture_default_str();
   app.add_option("--folder", folder, "for temporary files")->capture_default_str();
   app.add_option("--plot", plot, "SVG or PNG of time and error");
-  bool only_films = false;
-  app.add_flag("--films", only_films, "only the measured films");
+  std::string only;
+  app.add_option("--only", only, "one part of it")->check(CLI::IsMember({"speed", "selection", "coverage", "films"}));
   CLI11_PARSE(app, argc, argv);
-  if (only_films) return films(folder, 6, false), 0;
-  speed(folder, plot, limit_s, smoke);
-  if (smoke) return coverage(2, 1000), films(folder, 1, true), 0;
-  selection(brdf::TableGrid::n_cells);
-  coverage(repeats, 40000);
+  if (smoke) return speed(folder, plot, limit_s, true), coverage(2, 1000), films(folder, 1, true), 0;
+  if (only.empty() || only == "speed") speed(folder, plot, limit_s, false);
+  if (only.empty() || only == "selection") selection(brdf::TableGrid::n_cells);
+  if (only.empty() || only == "coverage") coverage(repeats, 40000);
+  if (only == "films") films(folder, 6, false);
 }
