@@ -3,9 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <numbers>
 #include <nlohmann/json.hpp>
 
 #include "libbrdf/files.h"
+#include "libbrdf/physical_checks.h"
 #include "libbrdf/table.h"
 #include "tools/measure_record.h"
 
@@ -33,6 +35,21 @@ std::string indented(const std::string& json) {
   return parsed.is_discarded() ? json : parsed.dump(1);
 }
 
+/// Where a model reflects more light than it receives; with a relative scale, where it reflects far more than at normal incidence. Fits say
+/// so of normal incidence only, and a lobe of small r grows without bound towards grazing, where often nothing was measured.
+std::vector<std::string> reflectance_warnings(const ReportBrdf& b, bool absolute) {
+  if (!dynamic_cast<const brdf::CookTorranceBrdf*>(b.brdf.get())) return {};
+  constexpr double degree = std::numbers::pi / 180;
+  const auto reflectances = brdf::check_physics(*b.brdf, {.theta_i = {0, 45 * degree, 60 * degree, 75 * degree}, .resolution = 90}).reflectances;
+  const auto largest = [](const brdf::Reflectance& r) { return std::max({r.value.x, r.value.y, r.value.z}); };
+  const double limit = absolute ? 1 : 10 * largest(reflectances.front());
+  for (const auto& r : reflectances)
+    if (largest(r) > 1.01 * limit && largest(r) > 0)
+      return {fmt::format("{}: light from {:.0f}° is reflected {}. The model is not to be believed there.", b.name, r.theta_i / degree,
+                          absolute ? fmt::format("to {:.3g} times what comes in", largest(r)) : fmt::format("{:.3g} times as strongly as light from the normal", largest(r) / (limit / 10)))};
+  return {};
+}
+
 std::vector<std::string> session_warnings(const ReportSession& s) {
   std::vector<std::string> list;
   const fs::path fit = s.session.folder / "fit.json";
@@ -43,6 +60,8 @@ std::vector<std::string> session_warnings(const ReportSession& s) {
   }
   if (s.calibration->geometry_source == "rig file") list.push_back("Geometry (lens, sphere, lights, axis) is taken from the rig file, not estimated from the images.");
   const brdf::HalfAngleTable* table = table_of(s.find("table"));
+  if (const ReportBrdf* model = s.find("fit"))
+    for (auto& w : reflectance_warnings(*model, !table || table->absolute_scale)) list.push_back(std::move(w));
   if (table && !table->absolute_scale) list.push_back("The scale is relative: no reference of known reflectance was measured. kd and ks are in arbitrary units.");
   if (!table) list.push_back("There is no table.exr yet (lacquer tabulate).");
   if (!s.find("fit")) list.push_back("There is no fit.json yet (lacquer fit).");
