@@ -197,7 +197,7 @@ std::optional<Illumination> illuminate(const PlacedLight& light, const SurfacePo
 
 LocalDirections to_shading_frame(const SurfacePoint& point, const glm::dvec3& wi) {
   const auto [u, v] = tangents(point.normal);
-  const auto local = [&](const glm::dvec3& w) { return glm::dvec3(glm::dot(u, w), glm::dot(v, w), glm::dot(point.normal, w)); };
+  const auto local = [&, u = u, v = v](const glm::dvec3& w) { return glm::dvec3(glm::dot(u, w), glm::dot(v, w), glm::dot(point.normal, w)); };
   return {local(wi), local(point.wo)};
 }
 
