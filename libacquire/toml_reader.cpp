@@ -32,6 +32,23 @@ bool too_nested(const std::string& text) {
   return false;
 }
 
+/// TOML is UTF-8 by definition, and toml11 3.7 reads beyond its buffer when it reports a string that is not. First byte that is wrong, or npos.
+std::size_t not_utf8(const std::string& text) {
+  for (std::size_t i = 0; i < text.size();) {
+    const auto byte = [&](std::size_t k) { return k < text.size() ? static_cast<unsigned char>(text[k]) : 0u; };
+    const unsigned first = byte(i);
+    const std::size_t length = first < 0x80 ? 1 : first >= 0xc2 && first < 0xe0 ? 2 : first >= 0xe0 && first < 0xf0 ? 3 : first >= 0xf0 && first < 0xf5 ? 4 : 0;
+    if (length == 0) return i;
+    for (std::size_t k = 1; k < length; ++k)
+      if ((byte(i + k) & 0xc0) != 0x80) return i;
+    const unsigned second = byte(i + 1);
+    // Too long a code, a half of a surrogate pair, beyond U+10FFFF.
+    if ((first == 0xe0 && second < 0xa0) || (first == 0xed && second >= 0xa0) || (first == 0xf0 && second < 0x90) || (first == 0xf4 && second >= 0x90)) return i;
+    i += length;
+  }
+  return std::string::npos;
+}
+
 /// First line of the parser's message without its own decoration: "[error] toml::parse_key: text" becomes "text".
 std::string plain_message(const std::string& what) {
   std::string line = what.substr(0, what.find('\n'));
@@ -78,6 +95,8 @@ TomlTable TomlTable::parse(const std::string& text, const std::string& name, Key
   if (text.size() > max_text_bytes)
     throw Error(ErrorCode::file, fmt::format("{}: {} bytes; expected at most {}", name, text.size(), max_text_bytes));
   if (too_nested(text)) throw Error(ErrorCode::file, fmt::format("{}: nested deeper than {} levels", name, max_nesting));
+  if (const std::size_t at = not_utf8(text); at != std::string::npos)
+    throw Error(ErrorCode::file, fmt::format("{}:{}: not valid TOML: expected UTF-8", name, 1 + std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(at), '\n')));
   std::shared_ptr<const Node> node;
   try {
     std::istringstream stream(text);

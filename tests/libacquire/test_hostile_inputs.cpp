@@ -41,6 +41,20 @@ TEST(HostileRigFile, RandomDamageIsSurvived) {
   EXPECT_LT(n_read, 395);
 }
 
+TEST(HostileRigFile, TextThatIsNotUtf8IsRefusedWithItsLineBeforeTheParserSeesIt) {
+  const auto file = test::source_dir() / "rigs/simulated-quick.toml";
+  const std::string whole = content_of(file);
+  EXPECT_NO_THROW(parse_rig("# \xc3\xa4 \xe2\x82\xac \xf0\x9f\x98\x80\n" + whole, file));
+  // Never a first byte, cut off, too long a code, a surrogate, beyond U+10FFFF.
+  for (const char* bad : {"\xff", "\xc3", "\xe2\x82", "\xc0\xaf", "\xe0\x80\xaf", "\xed\xa0\x80", "\xf4\x90\x80\x80", "\xf5\x80\x80\x80"})
+    try {
+      parse_rig("# one\n'" + std::string(bad) + "' = 1\n", "r.toml");
+      ADD_FAILURE() << "accepted";
+    } catch (const Error& e) {
+      EXPECT_EQ(std::string(e.what()), "r.toml:2: not valid TOML: expected UTF-8");
+    }
+}
+
 TEST(HostileRigFile, DeepNestingIsRefused) {
   for (const std::string& open : {std::string("["), std::string("{a=")})
     works_or_says_why([&] {
