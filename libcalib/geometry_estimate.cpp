@@ -20,7 +20,7 @@ nlohmann::ordered_json uncertainty_to_json(const GeometryUncertainty& u) {
   j["parameters"] = nlohmann::ordered_json::array();
   for (const GeometryParameter& p : u.parameters)
     j["parameters"].push_back({{"name", p.name}, {"unit", p.unit}, {"nominal", p.nominal}, {"correction", p.correction},
-                               {"sigma", p.sigma}, {"prior_sigma", p.prior_sigma}});
+                               {"sigma", p.sigma}, {"prior_sigma", p.prior_sigma}, {"paint_shift", p.paint_shift}});
   j["covariance"] = u.covariance;
   if (!u.angles.empty()) j["angles"] = nlohmann::ordered_json::array();
   for (const ViewAngle& a : u.angles) j["angles"].push_back({{"view", a.view}, {"correction", a.correction}, {"sigma", a.sigma}});
@@ -32,7 +32,7 @@ GeometryUncertainty uncertainty_from_json(const JsonReader& j) {
   GeometryUncertainty u;
   for (const JsonReader& p : j.objects("parameters", max_parameters))
     u.parameters.push_back({p.text("name"), p.text("unit"), p.number("nominal", -1e9, 1e9), p.number("correction", -1e9, 1e9),
-                            p.number("sigma", 0, 1e9), p.number("prior_sigma", 0, 1e9)});
+                            p.number("sigma", 0, 1e9), p.number("prior_sigma", 0, 1e9), p.has("paint_shift") ? p.number("paint_shift", -1e9, 1e9) : 0});
   const std::size_t n = u.parameters.size();
   u.covariance = j.numbers("covariance", -1e12, 1e12, n * n, n * n);
   for (std::size_t a = 0; a < n; ++a)

@@ -17,6 +17,7 @@ struct GeometryParameter {
   double correction = 0;
   double sigma = 0;        ///< 1 sigma, from images and prior
   double prior_sigma = 0;  ///< of the correction, before any image was seen
+  double paint_shift = 0;  ///< by which the light on the paint moved it, in its sigmas before that
 };
 
 /// Where the turntable stood in a view, as the highlight says it together with what was read back.

@@ -42,11 +42,15 @@ double shared_factor(const std::vector<double>& series, double sigma) {
 
 }  // namespace
 
-GeometryResiduals::GeometryResiduals(const GeometryUnknowns& unknowns, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights)
-    : unknowns_(unknowns), edges_(edges), highlights_(highlights), edge_used_(edges.size(), true), highlight_used_(highlights.size(), true),
+GeometryResiduals::GeometryResiduals(const GeometryUnknowns& unknowns, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights,
+                                     const GeometryEvidence& evidence)
+    : unknowns_(unknowns), edges_(edges), highlights_(highlights), evidence_(evidence), edge_used_(edges.size(), true), highlight_used_(highlights.size(), true),
       track_(highlights.size(), glm::dvec2(0.0)) {
   const acquire::RigGeometry nominal = unknowns.geometry(std::vector<double>(unknowns.size()));
+  const glm::dvec2 centre = nominal.camera.project(nominal.cam_from_rig.translation).value_or(nominal.camera.centre);
   for (const EdgePoint& edge : edges) {
+    const glm::dvec2 out = edge.pixel - centre;
+    sides_.push_back(glm::dot(out, out) > 0 ? glm::normalize(out) : out);
     const auto ray = nominal.camera.unproject(edge.pixel);
     sights_.push_back(ray ? std::optional(ray->direction) : std::nullopt);
   }
@@ -58,10 +62,10 @@ glm::dvec2 GeometryResiduals::miss(const acquire::RigGeometry& g, double scale, 
   return h.pixel - (pixel ? *pixel : glm::dvec2(1e6));
 }
 
-double GeometryResiduals::edge_residual(const acquire::RigGeometry& g, double offset, std::size_t i) const {
+double GeometryResiduals::edge_residual(const acquire::RigGeometry& g, const std::vector<double>& x, std::size_t i) const {
   if (!edge_used_[i]) return 0;
   const auto distance = sights_[i] ? silhouette_distance(g, edges_[i].pixel, *sights_[i]) : std::nullopt;
-  return (distance.value_or(1e6) - offset) / (edges_[i].sigma * edge_factor_);
+  return (distance.value_or(1e6) - unknowns_.edge_offset(x, sides_[i])) / (edges_[i].sigma * edge_factor_);
 }
 
 glm::dvec2 GeometryResiduals::highlight_residual(const acquire::RigGeometry& g, double scale, std::size_t i) const {
@@ -74,17 +78,26 @@ glm::dvec2 GeometryResiduals::highlight_residual(const acquire::RigGeometry& g, 
   return {d.x / l, (d.y - m * d.x / l) / n};
 }
 
+void GeometryResiduals::evidence_residuals(const std::vector<double>& x, std::vector<double>& out) const {
+  for (std::size_t k = 0; k < evidence_.rows.size(); ++k) {
+    double sum = -evidence_.offset[k];
+    for (std::size_t i = 0; i < x.size(); ++i) sum += evidence_.rows[k][i] * x[i];
+    out.push_back(sum);
+  }
+}
+
 std::vector<double> GeometryResiduals::at(const std::vector<double>& x) const {
   const acquire::RigGeometry g = unknowns_.geometry(x);
-  const double offset = unknowns_.edge_offset(x), scale = unknowns_.turntable_scale(x);
+  const double scale = unknowns_.turntable_scale(x);
   std::vector<double> r;
   r.reserve(n_data() + x.size());
-  for (std::size_t i = 0; i < edges_.size(); ++i) r.push_back(edge_residual(g, offset, i));
+  for (std::size_t i = 0; i < edges_.size(); ++i) r.push_back(edge_residual(g, x, i));
   for (std::size_t i = 0; i < highlights_.size(); ++i) {
     const glm::dvec2 white = highlight_residual(g, scale, i);
     r.push_back(white.x);
     r.push_back(white.y);
   }
+  evidence_residuals(x, r);
   unknowns_.prior_residuals(x, r);
   return r;
 }
@@ -114,6 +127,7 @@ std::vector<std::vector<double>> GeometryResiduals::derivatives(const std::vecto
       column[edges_.size() + 2 * i] = d.x;
       column[edges_.size() + 2 * i + 1] = d.y;
     }
+    for (const std::vector<double>& row : evidence_.rows) column.push_back(row[k]);
     unknowns_.prior_residuals(up, prior_up);
     unknowns_.prior_residuals(down, prior_down);
     for (std::size_t i = 0; i < prior_up.size(); ++i) column.push_back((prior_up[i] - prior_down[i]) / (2 * step));
@@ -148,12 +162,12 @@ void GeometryResiduals::measure_noise(const std::vector<double>& x) {
   edge_used_.assign(edges_.size(), true);
   highlight_used_.assign(highlights_.size(), true);
   const acquire::RigGeometry g = unknowns_.geometry(x);
-  const double offset = unknowns_.edge_offset(x), scale = unknowns_.turntable_scale(x);
+  const double scale = unknowns_.turntable_scale(x);
   // Fitted unknowns take their share of the residuals: of the edges 4, of the highlights at most 8.
   const auto share = [](std::size_t n) { return std::sqrt(static_cast<double>(n) / (static_cast<double>(n) - 4)); };
   std::vector<double> signed_sizes, sizes;
   for (std::size_t i = 0; i < edges_.size(); ++i) {
-    signed_sizes.push_back(edge_residual(g, offset, i));
+    signed_sizes.push_back(edge_residual(g, x, i));
     sizes.push_back(std::abs(signed_sizes.back()));
   }
   if (sizes.size() >= few) {
@@ -183,7 +197,8 @@ void GeometryResiduals::measure_noise(const std::vector<double>& x) {
     own.push_back(variance(t) / (speed * speed));
   }
   if (across.size() < few) return;
-  highlight_factor_ = std::max(floor, share(across.size()) * median(across) / median_of_normal);
+  // Never below 1: sigmas of grazing views that are too careful would make the good ones seem better than they are.
+  highlight_factor_ = std::max(1.0, share(across.size()) * median(across) / median_of_normal);
   const double total = share(across.size()) * median(along) / median_of_normal;
   angle_sigma_ = std::sqrt(std::max(0.0, total * total - highlight_factor_ * highlight_factor_ * median(own)));
 }

@@ -13,11 +13,12 @@
 namespace lacquer::calib {
 
 /// Silhouette and highlights against a geometry: residuals, how noisy the data are, and which of them are in use.
-/// Residuals over sigma: one per edge, two (uncorrelated) per highlight, then the priors. Those not in use are 0.
+/// Residuals over sigma: one per edge, two (uncorrelated) per highlight, then what else is known, then the priors. Those not in use are 0.
 class GeometryResiduals {
  public:
-  /// Keeps references to all three.
-  GeometryResiduals(const GeometryUnknowns& unknowns, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights);
+  /// Keeps references to all four.
+  GeometryResiduals(const GeometryUnknowns& unknowns, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights,
+                    const GeometryEvidence& evidence);
 
   std::vector<double> at(const std::vector<double>& x) const;
   /// By unknown: derivative of every residual. Central differences; all functions are smooth and exact to rounding: error about 1e-9.
@@ -36,12 +37,13 @@ class GeometryResiduals {
   /// `weight`: of each residual, for the next step.
   double cost(const std::vector<double>& residuals, double k, std::vector<double>& weight) const;
 
-  std::size_t n_data() const { return edges_.size() + 2 * highlights_.size(); }  ///< residuals before the priors'
+  std::size_t n_data() const { return edges_.size() + 2 * highlights_.size(); }  ///< residuals of edges and highlights
   const GeometryUnknowns& unknowns() const { return unknowns_; }
   const std::vector<EdgePoint>& edges() const { return edges_; }
   const std::vector<Highlight>& highlights() const { return highlights_; }
   const std::vector<bool>& edge_used() const { return edge_used_; }
   const std::vector<bool>& highlight_used() const { return highlight_used_; }
+  const glm::dvec2& side(std::size_t edge) const { return sides_[edge]; }  ///< of the silhouette that an edge point is on, unit vector in the image
   double edge_factor() const { return edge_factor_; }
   double highlight_factor() const { return highlight_factor_; }
   double angle_sigma() const { return angle_sigma_; }  ///< of the turntable's angles, radians
@@ -50,13 +52,16 @@ class GeometryResiduals {
   static glm::dvec2 miss(const acquire::RigGeometry& geometry, double turntable_scale, const Highlight& highlight);
 
  private:
-  double edge_residual(const acquire::RigGeometry& g, double offset, std::size_t i) const;
+  double edge_residual(const acquire::RigGeometry& g, const std::vector<double>& x, std::size_t i) const;
+  void evidence_residuals(const std::vector<double>& x, std::vector<double>& out) const;
   glm::dvec2 highlight_residual(const acquire::RigGeometry& g, double scale, std::size_t i) const;
 
   const GeometryUnknowns& unknowns_;
   const std::vector<EdgePoint>& edges_;
   const std::vector<Highlight>& highlights_;
+  const GeometryEvidence& evidence_;
   std::vector<std::optional<glm::dvec3>> sights_;  ///< of the edges: the lens is not an unknown
+  std::vector<glm::dvec2> sides_;
   std::vector<bool> edge_used_, highlight_used_;
   double edge_factor_ = 1, highlight_factor_ = 1;
   double edge_shared_ = 1;         ///< part of edge_factor_ that neighbours agreeing is the cause of

@@ -2,7 +2,14 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
+#include <glm/geometric.hpp>
+
 #include "libbrdf/error.h"
+#include "libcalib/geometry_unknowns.h"
+#include "libcalib/highlight_window.h"
+#include "libcalib/pixel_mask.h"
 
 namespace lacquer::calib {
 
@@ -14,71 +21,222 @@ std::string counts_text(const std::map<HighlightFate, std::vector<std::string>>&
   return text;
 }
 
-}  // namespace
+/// The part of a view that its highlight is looked for in again.
+struct Crop {
+  RadianceImage image;
+  glm::ivec2 corner{0};
+};
 
-SessionGeometry estimate_geometry(const std::string& name, const acquire::RigGeometry& nominal, const std::vector<GeometryView>& views,
-                                  Calibration& calibration, const GeometryPriors& priors, const HighlightOptions& highlight_options,
-                                  const Progress& progress) {
-  const auto each_view = [&](const std::string& stage, const auto& body) {
-    for (std::size_t i = 0; i < views.size(); ++i) {
-      body(views[i], views[i].read());
-      if (progress) progress(stage, i + 1, views.size());
+Crop crop(const RadianceImage& image, const glm::dvec2& centre, double half_px) {
+  // Begins at an even pixel: the crop of a mosaic is a mosaic of the same layout.
+  const auto first = [&](double at) { return std::max(0, static_cast<int>(std::floor(at - half_px)) & ~1); };
+  Crop c;
+  c.corner = {first(centre.x), first(centre.y)};
+  c.image.layout = image.layout;
+  c.image.width = std::clamp(static_cast<int>(std::ceil(centre.x + half_px)) - c.corner.x, 0, std::max(0, image.width - c.corner.x));
+  c.image.height = std::clamp(static_cast<int>(std::ceil(centre.y + half_px)) - c.corner.y, 0, std::max(0, image.height - c.corner.y));
+  const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(image.layout)), row = static_cast<std::size_t>(c.image.width) * per_pixel;
+  const auto copy = [&](const auto& from, auto& to) {
+    to.reserve(row * static_cast<std::size_t>(c.image.height));
+    for (int y = 0; y < c.image.height; ++y) {
+      const auto begin = from.begin() + static_cast<std::ptrdiff_t>((static_cast<std::size_t>(c.corner.y + y) * static_cast<std::size_t>(image.width) +
+                                                                     static_cast<std::size_t>(c.corner.x)) * per_pixel);
+      to.insert(to.end(), begin, begin + static_cast<std::ptrdiff_t>(row));
     }
   };
-  OutlineOptions outline_options;
-  outline_options.lens_blur_px = calibration.lens_blur_px;
-  OutlineFinder finder(nominal, outline_options);
-  each_view("silhouette", [&](const GeometryView& view, const RadianceImage& image) {
-    finder.add(image, nominal.place_light(view.light, view.turntable_angle));
-  });
-  const OutlineFinder::Outline outline = finder.finish();
+  copy(image.radiance, c.image.radiance);
+  copy(image.variance, c.image.variance);
+  copy(image.flags, c.image.flags);
+  return c;
+}
 
-  Calibration trial = calibration;
-  trial.geometry = outline.geometry;
-  // The lights stay where they are in the room while the origin moves with the sphere.
-  if (!outline.edges.empty()) trial.geometry = solve_geometry(nominal, outline.edges, {}, priors).geometry;
-  trial.turntable_scale = 1;
+class Estimator {
+ public:
+  Estimator(const std::string& name, const acquire::RigGeometry& nominal, const acquire::MaskDescription& mask, const std::vector<GeometryView>& views,
+            const Calibration& calibration, const GeometryOptions& options, const Progress& progress)
+      : name_(name), nominal_(nominal), mask_(mask), views_(views), options_(options), progress_(progress), trial_(calibration) {
+    result_.n_views = views.size();
+    trial_.turntable_scale = 1;
+  }
 
-  SessionGeometry result;
-  result.n_views = views.size();
-  result.n_arcs = outline.n_arcs;
-  result.n_dark_arcs = outline.n_dark;
-  result.edges = outline.edges;
-  constexpr int n_passes = 3;
-  for (int pass = 0; pass < n_passes; ++pass) {
-    result.highlights.clear();
-    result.rejected.clear();
-    HighlightOptions options = highlight_options;
-    if (pass > 0) options.search_rad *= 0.5;
-    each_view(pass == 0 ? "highlights" : "highlights again", [&](const GeometryView& view, const RadianceImage& image) {
-      HighlightResult found = find_highlight(image, trial, view.light, view.turntable_angle, options);
-      found.highlight.view = view.id;
-      if (found.fate == HighlightFate::found)
-        result.highlights.push_back(found.highlight);
-      else
-        result.rejected[found.fate].push_back(view.id);
-    });
-    if (result.highlights.empty())
+  SessionGeometry find() {
+    find_outline();
+    read_highlights();
+    if (!result_.highlights.empty()) {
+      for (int pass = 0; pass < 2; ++pass) {
+        solve({});
+        measure_again();
+      }
+      solve({});
+    }
+    refine_with_paint();
+    if (result_.highlights.empty() && result_.paint.n_samples == 0)
       throw Error(ErrorCode::input, fmt::format("{}: no highlight in any of {} views ({}): the lights cannot be found with this sphere; photograph a glossy or chrome "
                                                 "sphere of the same radius in its place, or keep the rig file's geometry (--from-rig)",
-                                                name, views.size(), counts_text(result.rejected)));
-    result.estimate = solve_geometry(nominal, outline.edges, result.highlights, priors);
-    trial.geometry = result.estimate.geometry;
-    trial.turntable_scale = result.estimate.turntable_scale;
+                                                name_, views_.size(), counts_text(result_.rejected)));
+    return std::move(result_);
   }
-  calibration.geometry = trial.geometry;
-  calibration.turntable_scale = trial.turntable_scale;
+
+  const Calibration& calibration() const { return trial_; }
+
+ private:
+  template <typename Body>
+  void each_view(const std::string& stage, const Body& body) {
+    for (std::size_t i = 0; i < views_.size(); ++i) {
+      body(i);
+      if (progress_) progress_(stage, i + 1, views_.size());
+    }
+  }
+
+  void find_outline() {
+    OutlineOptions outline_options;
+    outline_options.lens_blur_px = trial_.lens_blur_px;
+    OutlineFinder finder(nominal_, outline_options);
+    each_view("silhouette", [&](std::size_t i) { finder.add(views_[i].read(), nominal_.place_light(views_[i].light, views_[i].turntable_angle)); });
+    const OutlineFinder::Outline outline = finder.finish();
+    trial_.geometry = outline.geometry;
+    // The lights stay where they are in the room while the origin moves with the sphere.
+    if (!outline.edges.empty()) trial_.geometry = solve_geometry(nominal_, outline.edges, {}, options_.priors).geometry;
+    result_.n_arcs = outline.n_arcs;
+    result_.n_dark_arcs = outline.n_dark;
+    result_.edges = outline.edges;
+  }
+
+  void keep(std::size_t i, HighlightResult found) {
+    found.highlight.view = views_[i].id;
+    if (found.fate == HighlightFate::found)
+      result_.highlights.push_back(found.highlight);
+    else
+      result_.rejected[found.fate].push_back(views_[i].id);
+    if (found.fate == HighlightFate::found) widths_.push_back(found.width_rad);
+  }
+
+  /// Highlights where the rig file has them; crops about them for the passes to come, and the paint's samples.
+  void read_highlights() {
+    crops_.resize(views_.size());
+    const std::vector<std::uint8_t> mask = paint_mask(mask_, trial_.geometry);
+    blocks_ = paint_blocks(trial_.geometry, views_.size());
+    each_view("highlights", [&](std::size_t i) {
+      RadianceImage image = views_[i].read();
+      apply_mask(mask, image);
+      const HighlightResult found = find_highlight(image, trial_, views_[i].light, views_[i].turntable_angle, options_.highlights);
+      const auto expected = expect_highlight(trial_.geometry, trial_.geometry.place_light(views_[i].light, views_[i].turntable_angle));
+      if (expected) {
+        const bool seen = found.fate == HighlightFate::found;
+        const double slowest = std::min(glm::length(expected->slope_per_pixel[0]), glm::length(expected->slope_per_pixel[1]));
+        // What find_highlight looks at with half the search, and some pixels for the lights to move by.
+        const double reach = (options_.highlights.search_rad + 4 * (seen ? found.width_rad : 0.03)) / slowest;
+        crops_[i] = crop(image, seen ? found.highlight.pixel : expected->pixel, 30 + reach);
+      }
+      keep(i, found);
+      if (options_.use_paint) add_paint_samples(image, trial_, static_cast<std::uint32_t>(i), blocks_, samples_);
+    });
+  }
+
+  void measure_again() {
+    HighlightOptions narrower = options_.highlights;
+    narrower.search_rad *= 0.5;
+    result_.highlights.clear();
+    result_.rejected.clear();
+    widths_.clear();
+    for (std::size_t i = 0; i < views_.size(); ++i)
+      keep(i, crops_[i].image.width > 0 ? find_highlight(crops_[i].image, trial_, views_[i].light, views_[i].turntable_angle, narrower, crops_[i].corner) : HighlightResult{});
+  }
+
+  void solve(const GeometryEvidence& evidence) {
+    result_.estimate = solve_geometry(nominal_, result_.edges, result_.highlights, options_.priors, evidence);
+    trial_.geometry = result_.estimate.geometry;
+    trial_.turntable_scale = result_.estimate.turntable_scale;
+  }
+
+  /// Units of the priors, as GeometryUnknowns has them; all 0 before anything was solved.
+  std::vector<double> solution(std::size_t n) const {
+    std::vector<double> x;
+    for (const GeometryParameter& p : result_.estimate.uncertainty.parameters) x.push_back(p.correction / p.prior_sigma);
+    x.resize(n);
+    return x;
+  }
+
+  void refine_with_paint() {
+    GeometryEvidence evidence;
+    std::vector<PaintView> lit;
+    evidence.lights.assign(nominal_.lights.size(), false);
+    for (const GeometryView& view : views_) {
+      lit.push_back({view.light, view.turntable_angle, view.factor});
+      evidence.lights[view.light] = true;
+    }
+    const GeometryUnknowns unknowns(nominal_, options_.priors, lights_with_data(nominal_, result_.highlights, evidence));
+    const GeometryEstimate before = result_.estimate;
+    PaintOptions paint = options_.paint;
+    paint.blur = (trial_.lens_blur_px * trial_.lens_blur_px + 1.0 / 12) / blocks_.variance();
+    if (!widths_.empty()) {
+      std::nth_element(widths_.begin(), widths_.begin() + static_cast<std::ptrdiff_t>(widths_.size() / 2), widths_.end());
+      constexpr double clear_of_peak = 3.5;  // 1/e radii
+      paint.lowest_theta_h = std::clamp(clear_of_peak * widths_[widths_.size() / 2], paint.lowest_theta_h, 0.5);
+    }
+    constexpr int max_rounds = 12;
+    for (int round = 0; round < max_rounds && !samples_.empty(); ++round) {
+      const std::vector<double> x = solution(unknowns.size());
+      paint.angle_rad = result_.estimate.angle_sigma_rad;
+      const PaintEvidence found = paint_evidence(samples_, lit, unknowns, x, paint);
+      if (found.n_samples == 0) return;
+      solve(found.geometry);
+      result_.paint.n_samples = found.n_samples;
+      result_.paint.scatter = found.scatter;
+      double largest = 0;
+      const std::vector<double> now = solution(unknowns.size());
+      for (std::size_t k = 0; k < now.size(); ++k) {
+        const GeometryParameter& p = result_.estimate.uncertainty.parameters[k];
+        largest = std::max(largest, std::abs(now[k] - x[k]) * p.prior_sigma / p.sigma);
+      }
+      if (progress_) progress_("paint", static_cast<std::size_t>(round) + 1, max_rounds);
+      // Noise is measured by medians, which may keep a last step from dying away.
+      if (largest < 0.1 || (round >= 4 && largest < 1)) break;
+    }
+    for (std::size_t k = 0; k < before.uncertainty.parameters.size() && result_.paint.n_samples > 0; ++k) {
+      const GeometryParameter& p = before.uncertainty.parameters[k];
+      GeometryParameter& q = result_.estimate.uncertainty.parameters[k];
+      q.paint_shift = (q.correction - p.correction) / p.sigma;
+    }
+    result_.paint.distance_sigma_before = before.distance_sigma;
+    result_.paint.half_vector_sigma_before = before.half_vector_sigma_rad;
+  }
+
+  const std::string& name_;
+  const acquire::RigGeometry& nominal_;
+  const acquire::MaskDescription& mask_;
+  const std::vector<GeometryView>& views_;
+  const GeometryOptions& options_;
+  const Progress& progress_;
+  Calibration trial_;
+  SessionGeometry result_;
+  std::vector<Crop> crops_;
+  std::vector<double> widths_;
+  PaintBlocks blocks_;
+  std::vector<PaintSample> samples_;
+};
+
+}  // namespace
+
+SessionGeometry estimate_geometry(const std::string& name, const acquire::RigGeometry& nominal, const acquire::MaskDescription& mask,
+                                  const std::vector<GeometryView>& views, Calibration& calibration, const GeometryOptions& options,
+                                  const Progress& progress) {
+  Estimator estimator(name, nominal, mask, views, calibration, options, progress);
+  SessionGeometry result = estimator.find();
+  calibration.geometry = result.estimate.geometry;
+  calibration.turntable_scale = result.estimate.turntable_scale;
   calibration.geometry_uncertainty = result.estimate.uncertainty;
-  calibration.geometry_source = "estimated from highlights and silhouette";
+  calibration.geometry_source = result.paint.n_samples == 0 ? "estimated from highlights and silhouette" : result.highlights.empty() ? "estimated from silhouette and light on the paint"
+                                                                                                          : "estimated from highlights, silhouette and light on the paint";
   return result;
 }
 
-std::vector<GeometryView> geometry_views(const acquire::Session& session) {
+std::vector<GeometryView> geometry_views(const acquire::Session& session, const Calibration& calibration) {
   const acquire::RigDescription& rig = session.rig;
   std::vector<GeometryView> views;
   for (const std::size_t i : session.views_of(acquire::ViewKind::measurement)) {
     const acquire::ViewRecord& view = session.views[i];
-    views.push_back({view.id, static_cast<std::size_t>(view.light), view.turntable_angle, [&rig, file = session.radiance_path(view)] {
+    views.push_back({view.id, static_cast<std::size_t>(view.light), view.turntable_angle, calibration.light_factor(view).factor, [&rig, file = session.radiance_path(view)] {
                        RadianceImage image = read_radiance(file);
                        if (image.width != rig.geometry.camera.width || image.height != rig.geometry.camera.height || image.layout != rig.sensor.layout)
                          throw Error(ErrorCode::file, fmt::format("{}: expected {}x{} {}, as the rig's camera", file.string(), rig.geometry.camera.width,
@@ -89,9 +247,8 @@ std::vector<GeometryView> geometry_views(const acquire::Session& session) {
   return views;
 }
 
-SessionGeometry estimate_geometry(const acquire::Session& session, Calibration& calibration, const GeometryPriors& priors,
-                                  const HighlightOptions& highlight_options, const Progress& progress) {
-  return estimate_geometry(session.folder.string(), session.rig.geometry, geometry_views(session), calibration, priors, highlight_options, progress);
+SessionGeometry estimate_geometry(const acquire::Session& session, Calibration& calibration, const GeometryOptions& options, const Progress& progress) {
+  return estimate_geometry(session.folder.string(), session.rig.geometry, session.rig.mask, geometry_views(session, calibration), calibration, options, progress);
 }
 
 }  // namespace lacquer::calib

@@ -62,14 +62,13 @@ void describe_fit(const GeometryResiduals& residuals, const std::vector<double>&
   e.highlight_noise_factor = residuals.highlight_factor();
   e.angle_sigma_rad = residuals.angle_sigma();
   double edge_sum = 0, highlight_sum = 0;
-  const double offset = residuals.unknowns().edge_offset(x);
   for (std::size_t i = 0; i < residuals.edges().size(); ++i) {
     if (!residuals.edge_used()[i]) {
       ++e.n_edge_outliers;
       continue;
     }
     ++e.n_edges;
-    const double d = silhouette_distance(e.geometry, residuals.edges()[i].pixel).value_or(0) - offset;
+    const double d = silhouette_distance(e.geometry, residuals.edges()[i].pixel).value_or(0) - residuals.unknowns().edge_offset(x, residuals.side(i));
     edge_sum += d * d;
   }
   for (std::size_t i = 0; i < residuals.highlights().size(); ++i) {
@@ -92,7 +91,7 @@ void add_uncertainty(const GeometryResiduals& residuals, const acquire::RigGeome
   const auto j = residuals.derivatives(x);
   std::vector<double> weight(j.front().size(), 1.0);
   const SymmetricMatrix information = normal_matrix(j, weight);
-  std::fill(weight.begin() + static_cast<std::ptrdiff_t>(residuals.n_data()), weight.end(), 0.0);
+  std::fill(weight.end() - static_cast<std::ptrdiff_t>(x.size()), weight.end(), 0.0);  // the priors
   const SymmetricMatrix from_images = normal_matrix(j, weight);
   const SymmetricMatrix inverse = sandwich(information, information);
   const std::size_t n = x.size();
@@ -117,10 +116,10 @@ void add_uncertainty(const GeometryResiduals& residuals, const acquire::RigGeome
   e.warnings = geometry_warnings(residuals, nominal, x, information, from_images, effects);
 }
 
-void check_input(const acquire::RigGeometry& g, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights) {
+void check_input(const acquire::RigGeometry& g, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights, const GeometryEvidence& evidence) {
   if (g.camera.projection != acquire::CameraModel::Projection::pinhole)
     throw Error(ErrorCode::input, "camera: orthographic; geometry can be estimated for a pinhole camera only, keep the rig file's (--from-rig)");
-  if (edges.empty() && highlights.empty()) throw Error(ErrorCode::input, "geometry: neither silhouette nor highlights, expected at least one of them");
+  if (edges.empty() && highlights.empty() && evidence.rows.empty()) throw Error(ErrorCode::input, "geometry: neither silhouette nor highlights, expected at least one of them");
   for (const EdgePoint& e : edges)
     if (!(e.sigma > 0) || !std::isfinite(e.pixel.x + e.pixel.y + e.sigma)) throw Error(ErrorCode::input, "geometry: edge point: expected finite numbers, sigma > 0");
   for (const Highlight& h : highlights) {
@@ -135,28 +134,38 @@ void check_input(const acquire::RigGeometry& g, const std::vector<EdgePoint>& ed
 }  // namespace
 
 void GeometryPriors::validate() const {
-  for (const double s : {sphere_m, axis_point_m, axis_tilt_rad, zero_angle_rad, turntable_scale, light_m, arm, edge_offset_px})
+  for (const double s : {sphere_m, axis_point_m, axis_tilt_rad, zero_angle_rad, turntable_scale, light_m, arm, edge_offset_px, edge_side_px})
     if (!(s > 0 && std::isfinite(s))) throw Error(ErrorCode::usage, "geometry priors: expected numbers > 0");
 }
 
-GeometryEstimate solve_geometry(const acquire::RigGeometry& nominal, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights,
-                                const GeometryPriors& priors) {
-  priors.validate();
-  check_input(nominal, edges, highlights);
-  std::vector<bool> seen(nominal.lights.size());
+std::vector<bool> lights_with_data(const acquire::RigGeometry& nominal, const std::vector<Highlight>& highlights, const GeometryEvidence& evidence) {
+  std::vector<bool> seen = evidence.lights;
+  seen.resize(nominal.lights.size());
   for (const Highlight& h : highlights) seen[h.light] = true;
-  const GeometryUnknowns unknowns(nominal, priors, seen);
-  GeometryResiduals residuals(unknowns, edges, highlights);
+  return seen;
+}
+
+GeometryEstimate solve_geometry(const acquire::RigGeometry& nominal, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights,
+                                const GeometryPriors& priors, const GeometryEvidence& evidence) {
+  priors.validate();
+  check_input(nominal, edges, highlights, evidence);
+  const GeometryUnknowns unknowns(nominal, priors, lights_with_data(nominal, highlights, evidence));
+  GeometryResiduals residuals(unknowns, edges, highlights, evidence);
   std::vector<double> x(unknowns.size());
 
   minimise(residuals, 3, x);
   GeometryEstimate e;
-  for (int round = 0; round < 4; ++round) {
+  constexpr int max_rounds = 12;
+  for (int round = 0; round < max_rounds; ++round) {
     const auto before = std::pair(residuals.edge_used(), residuals.highlight_used());
+    const double edge = residuals.edge_factor(), highlight = residuals.highlight_factor(), angle = residuals.angle_sigma();
     residuals.measure_noise(x);
     residuals.select_inliers(x);
     e.converged = minimise(residuals, 0, x);
-    if (round > 0 && before == std::pair(residuals.edge_used(), residuals.highlight_used())) break;
+    const auto same = [](double a, double b) { return std::abs(a - b) <= 0.01 * b; };
+    if (before == std::pair(residuals.edge_used(), residuals.highlight_used()) && same(edge, residuals.edge_factor()) && same(highlight, residuals.highlight_factor()) &&
+        same(angle, residuals.angle_sigma()))
+      break;
   }
   e.geometry = unknowns.geometry(x);
   e.turntable_scale = unknowns.turntable_scale(x);

@@ -29,6 +29,13 @@ struct Highlight {
   double xx = 1, xy = 0, yy = 1;  ///< covariance, pixels^2
 };
 
+/// What else is known of the unknowns (GeometryUnknowns' x), as residuals that are linear in them: rows[k] . x - offset[k], over sigma.
+struct GeometryEvidence {
+  std::vector<bool> lights;                ///< by light, whether it says something of its place; empty: of none
+  std::vector<std::vector<double>> rows;
+  std::vector<double> offset;
+};
+
 /// What the rig file is good for, 1 sigma: a builder with a ruler.
 struct GeometryPriors {
   double sphere_m = 0.003;           ///< each coordinate of the sphere's centre
@@ -39,6 +46,7 @@ struct GeometryPriors {
   double light_m = 0.005;            ///< each coordinate of a light
   double arm = 0.02;                 ///< relative, of a light's distance from the origin; in addition to light_m
   double edge_offset_px = 0.1;       ///< common error of all edge points, across the silhouette
+  double edge_side_px = 0.02;        ///< the same with the cosine and the sine of the side: a limb is lit from one side, and looks it
   void validate() const;
 };
 
@@ -67,9 +75,13 @@ struct GeometryEstimate {
   std::vector<std::string> warnings;  ///< what the images do not determine, in words
 };
 
+/// By light: whether anything says something of its place, which is an unknown then.
+std::vector<bool> lights_with_data(const acquire::RigGeometry& nominal, const std::vector<Highlight>& highlights, const GeometryEvidence& evidence);
+
 /// Maximum of the posterior: least squares of all residuals over their sigmas and of the priors, outliers found with a Cauchy loss first
-/// and then left out by name. The sigmas of the data are scaled to what the residuals show, see GeometryEstimate. Throws Error{input}: orthographic camera, a distant light with a highlight, no data at all.
+/// and then left out by name. The sigmas of the data are scaled to what the residuals show, see GeometryEstimate. `evidence` is of the
+/// unknowns of lights_with_data. Throws Error{input}: orthographic camera, a distant light with a highlight, no data at all.
 GeometryEstimate solve_geometry(const acquire::RigGeometry& nominal, const std::vector<EdgePoint>& edges,
-                                const std::vector<Highlight>& highlights, const GeometryPriors& priors = {});
+                                const std::vector<Highlight>& highlights, const GeometryPriors& priors = {}, const GeometryEvidence& evidence = {});
 
 }  // namespace lacquer::calib

@@ -19,6 +19,7 @@ GeometryUnknowns::GeometryUnknowns(const acquire::RigGeometry& nominal, const Ge
   const char* const letters[] = {"x", "y", "z"};
   for (int k = 0; k < 3; ++k) add(fmt::format("sphere.{}", letters[k]), "m", 0, priors.sphere_m);
   add("edge offset", "px", 0, priors.edge_offset_px);
+  for (const char* letter : {"x", "y"}) add(fmt::format("edge offset.{}", letter), "px", 0, priors.edge_side_px);
   if (std::none_of(seen_.begin(), seen_.end(), [](bool s) { return s; })) return;
   first_axis_ = parameters_.size();
   add("axis.tilt_a", "rad", 0, priors.axis_tilt_rad);

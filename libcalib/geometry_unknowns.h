@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <glm/vec2.hpp>
 #include <glm/vec3.hpp>
 #include <optional>
 #include <string>
@@ -23,7 +24,8 @@ class GeometryUnknowns {
   /// The light that unknown `k` moves, if it moves that one only.
   std::optional<std::size_t> light_of(std::size_t k) const;
 
-  double edge_offset(const std::vector<double>& x) const { return value(x, 3); }
+  /// Of an edge point on the side `out` of the silhouette (unit vector in the image), pixels outwards.
+  double edge_offset(const std::vector<double>& x, const glm::dvec2& out) const { return value(x, 3) + value(x, 4) * out.x + value(x, 5) * out.y; }
   double turntable_scale(const std::vector<double>& x) const { return has_lights() ? 1 + value(x, first_axis_ + 5) : 1; }
   acquire::RigGeometry geometry(const std::vector<double>& x) const;
 
@@ -33,7 +35,7 @@ class GeometryUnknowns {
 
  private:
   void add(std::string name, std::string unit, double nominal, double sigma) {
-    parameters_.push_back({std::move(name), std::move(unit), nominal, 0, 0, sigma});
+    parameters_.push_back({std::move(name), std::move(unit), nominal, 0, 0, sigma, 0});
   }
   bool has_lights() const { return first_axis_ > 0; }
   double value(const std::vector<double>& x, std::size_t k) const { return x[k] * parameters_[k].prior_sigma; }

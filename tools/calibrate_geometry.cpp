@@ -25,7 +25,7 @@ constexpr double degree = 3.14159265358979323846 / 180;
 
 struct Options {
   std::string session;
-  bool from_rig = false;
+  bool from_rig = false, without_paint = false;
 };
 
 /// Factor and unit for people.
@@ -98,12 +98,13 @@ nlohmann::ordered_json distant_lights_json(const calib::DistantLights& d) {
 
 void print_geometry(const calib::SessionGeometry& g, const acquire::Session& session) {
   const calib::GeometryEstimate& e = g.estimate;
-  fmt::print("{:<18} {:>10} {:>12} {:>10} {:>9}\n", "", "rig file", "estimate", "+-", "unit");
+  const bool paint = g.paint.n_samples > 0;
+  fmt::print("{:<18} {:>10} {:>12} {:>10} {:>9}{}\n", "", "rig file", "estimate", "+-", "unit", paint ? "   moved by the paint, sigma" : "");
   for (const calib::GeometryParameter& p : e.uncertainty.parameters) {
     const auto [factor, unit] = shown_as(p.unit);
     const int digits = p.unit == "1" ? 6 : 4;
-    fmt::print("{:<18} {:>10.{}f} {:>12.{}f} {:>10.{}f} {:>9}\n", p.name, factor * p.nominal, digits - 2, factor * (p.nominal + p.correction), digits,
-               factor * p.sigma, digits, unit);
+    fmt::print("{:<18} {:>10.{}f} {:>12.{}f} {:>10.{}f} {:>9}{}\n", p.name, factor * p.nominal, digits - 2, factor * (p.nominal + p.correction), digits,
+               factor * p.sigma, digits, unit, paint ? fmt::format("   {:+10.1f}", p.paint_shift) : "");
   }
   fmt::print("silhouette: {} of {} arcs ({} never lit, {} outliers), rms {:.3f} px, {:.1f} times the sigma of their fits\n", e.n_edges, g.n_arcs, g.n_dark_arcs,
              e.n_edge_outliers, e.edge_rms_px, e.edge_noise_factor);
@@ -113,6 +114,9 @@ void print_geometry(const calib::SessionGeometry& g, const acquire::Session& ses
   for (const auto& o : e.outliers) fmt::print("  outlier: {}: off by {:+.2f} {:+.2f} px, left out\n", o.view, o.residual.x, o.residual.y);
   fmt::print("known to (1 sigma): half vectors {:.4f} deg, lights {:.4f} deg and {:.3f} % of their distance, sphere centre {:.3f} px{}\n", e.half_vector_sigma_rad / degree,
              e.light_sigma_rad / degree, 100 * e.distance_sigma, e.centre_sigma_px, e.converged ? "" : "; the solver did NOT converge");
+  if (paint)
+    fmt::print("light on the paint: {} samples, {:.2f} % about a smooth paint besides their noise; silhouette and highlights alone: half vectors {:.4f} deg, distance {:.3f} %\n",
+               g.paint.n_samples, 100 * g.paint.scatter, g.paint.half_vector_sigma_before / degree, 100 * g.paint.distance_sigma_before);
   for (const std::string& w : e.warnings) fmt::print("{} {}\n", emphasised("warning:", Emphasis::warning, stdout), w);
   if (session.rig.kind != acquire::RigDescription::Kind::simulated) return;
   // The truth of a simulated rig enters here, for the comparison, and nowhere before.
@@ -145,9 +149,10 @@ nlohmann::ordered_json geometry_json(const calib::SessionGeometry& g, const acqu
 
 void add_calibrate_geometry(CLI::App& calibrate, Context& context) {
   auto o = std::make_shared<Options>();
-  CLI::App* command = calibrate.add_subcommand("geometry", "merged images -> sphere, turntable axis and lights, from silhouette and highlights");
+  CLI::App* command = calibrate.add_subcommand("geometry", "merged images -> sphere, turntable axis and lights, from silhouette, highlights and the light on the paint");
   command->add_option("session", o->session, "session folder, merged")->required();
   command->add_flag("--from-rig", o->from_rig, "estimate nothing: take the geometry over from the session's rig file");
+  command->add_flag("--without-paint", o->without_paint, "silhouette and highlights only, not the pattern of light on the paint");
   add_json_option(*command, context);
   command->callback([o, &context] {
     const acquire::Session session = acquire::read_session(o->session);
@@ -155,16 +160,18 @@ void add_calibrate_geometry(CLI::App& calibrate, Context& context) {
     auto j = json_result(context, {(session.folder / "rig.toml").string()});
     // Response, noise and drift that were found already stay.
     calib::Calibration calibration = std::filesystem::exists(file) ? calib::read_calibration(file) : calib::sensor_calibration(session, stderr_progress(context));
+    calib::GeometryOptions options;
+    options.use_paint = !o->without_paint;
     if (o->from_rig) {
       calibration.geometry = session.rig.geometry;
       calibration.geometry_source = "rig file";
       calibration.geometry_uncertainty = {};
       calibration.turntable_scale = 1;
     } else if (calib::all_lights_distant(session.rig.geometry)) {
-      const auto d = calib::find_distant_lights(session.folder.string(), session.rig.geometry, calib::geometry_views(session), calibration, {}, stderr_progress(context));
+      const auto d = calib::find_distant_lights(session.folder.string(), session.rig.geometry, calib::geometry_views(session, calibration), calibration, {}, stderr_progress(context));
       if (context.json) j.update(distant_lights_json(d)); else print_distant_lights(d);
     } else {
-      const calib::SessionGeometry g = calib::estimate_geometry(session, calibration, {}, {}, stderr_progress(context));
+      const calib::SessionGeometry g = calib::estimate_geometry(session, calibration, options, stderr_progress(context));
       if (context.json) j.update(geometry_json(g, session)); else print_geometry(g, session);
     }
     calib::write_calibration(file, calibration, provenance_json(context, {(session.folder / "rig.toml").string()}));

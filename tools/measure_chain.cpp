@@ -63,7 +63,7 @@ Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const br
     m.seconds.emplace_back("merge", watch.lap());
   }
   if (options.calibrate_geometry) {
-    m.geometry = calib::estimate_geometry(m.session, m.calibration, {}, {}, progress);
+    m.geometry = calib::estimate_geometry(m.session, m.calibration, {}, progress);
     m.seconds.emplace_back("geometry", watch.lap());
   }
   calib::write_calibration(folder / "calibration.json", m.calibration, options.provenance_json);

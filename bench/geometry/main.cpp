@@ -18,7 +18,7 @@ struct RigOptions {
   std::string rig = std::string(LACQUER_SOURCE_DIR) + "/rigs/simulated-geometry.toml";
   std::string paint;
   int count = 100, seed = 1;
-  bool smoke = false;
+  bool smoke = false, without_paint = false;
 };
 
 int run_rigs(const RigOptions& o) {
@@ -28,7 +28,7 @@ int run_rigs(const RigOptions& o) {
   std::vector<bench::RigResult> results;
   for (int i = 0; i < (o.smoke ? 1 : o.count); ++i) {
     const auto seed = static_cast<std::uint64_t>(o.seed + i);
-    results.push_back(bench::run_rig(nominal, bench::draw_errors(nominal.geometry, priors, seed), seed, paint, priors));
+    results.push_back(bench::run_rig(nominal, bench::draw_errors(nominal.geometry, priors, seed), seed, paint, priors, !o.without_paint));
     const calib::GeometryDifference& d = results.back().after;
     constexpr double degree = 3.14159265358979323846 / 180;
     fmt::print("rig {:3}: half vectors {:.4f} deg, light {:.4f} deg, distance {:.3f} %, centre {:.4f} px; {} of {} highlights\n", o.seed + i,
@@ -75,6 +75,7 @@ int main(int argc, char** argv) {
   command->add_option("--paint", rigs.paint, "BRDF file (default: the rig file's)");
   command->add_option("--count", rigs.count, "number of rigs")->capture_default_str()->check(CLI::Range(1, 10000));
   command->add_option("--seed", rigs.seed, "of the first")->capture_default_str();
+  command->add_flag("--without-paint", rigs.without_paint, "silhouette and highlights only");
   command->add_flag("--smoke", rigs.smoke, "one rig; fails where an unknown is more than 6 of its sigmas from the truth");
   PaintOptions paints;
   CLI::App* end_to_end = app.add_subcommand("paints", "paints of Guenther et al. 2005 end to end, calibrated beside known geometry");

@@ -108,7 +108,7 @@ PaintResult measure_paint(const acquire::RigDescription& nominal, const BuilderE
 
   // What the rig's own computer knows: the angles as its turntable counts them.
   for (acquire::ViewRecord& view : session.views) view.turntable_angle /= errors.step_scale;
-  calib::estimate_geometry(session, calibration, {}, {}, {});
+  calib::estimate_geometry(session, calibration, {}, {});
   result.geometry_s = watch.lap();
   std::vector<calib::ViewAngles> angles;
   for (std::size_t i = 0; i < session.views.size(); ++i)

@@ -121,7 +121,7 @@ acquire::RigDescription built_with(const acquire::RigDescription& nominal, const
 }
 
 RigResult run_rig(const acquire::RigDescription& nominal, const BuilderErrors& errors, std::uint64_t seed, const std::shared_ptr<const brdf::Brdf>& paint,
-                  const calib::GeometryPriors& priors) {
+                  const calib::GeometryPriors& priors, bool use_paint) {
   Stopwatch watch;
   acquire::RigDescription built = built_with(nominal, errors);
   built.simulation.seed = seed;
@@ -137,13 +137,16 @@ RigResult run_rig(const acquire::RigDescription& nominal, const BuilderErrors& e
     calib::BracketMerger merger(calibration.response, calibration.noise, planned.exposures_s);
     for (const double exposure : planned.exposures_s) merger.add(world.photograph({.exposure_s = exposure}));
     images.push_back(merger.finish());
-    views.push_back({fmt::format("L{:03}", views.size()), static_cast<std::size_t>(planned.light), read_back, [&image = images.back()] { return image; }});
+    views.push_back({fmt::format("L{:03}", views.size()), static_cast<std::size_t>(planned.light), read_back, 1, [&image = images.back()] { return image; }});
     angles.push_back({static_cast<std::size_t>(planned.light), read_back, world.true_angle()});
   }
   RigResult result;
   result.n_views = views.size();
   result.simulation_s = watch.lap();
-  result.estimate = calib::estimate_geometry("bench", nominal.geometry, views, calibration, priors, {}, {}).estimate;
+  calib::GeometryOptions options;
+  options.priors = priors;
+  options.use_paint = use_paint;
+  result.estimate = calib::estimate_geometry("bench", nominal.geometry, {}, views, calibration, options, {}).estimate;
   result.calibration_s = watch.lap();
   result.before = calib::geometry_difference(nominal.geometry, world.geometry(), angles);
   for (std::size_t i = 0; i < angles.size(); ++i)

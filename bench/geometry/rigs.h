@@ -46,7 +46,7 @@ struct RigResult {
 
 /// The whole way for one rig. Frames are exposed by the sensor model and merged as those of a session; only nothing goes through files.
 RigResult run_rig(const acquire::RigDescription& nominal, const BuilderErrors& errors, std::uint64_t seed, const std::shared_ptr<const brdf::Brdf>& paint,
-                  const calib::GeometryPriors& priors);
+                  const calib::GeometryPriors& priors, bool use_paint);
 
 /// Statistics over the rigs, as text.
 std::string summary(const std::vector<RigResult>& results);

@@ -1,0 +1,603 @@
+#include "libcalib/paint_evidence.h"
+
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/matrix.hpp>
+#include <opencv2/core.hpp>
+#include <optional>
+
+#include "libbrdf/error.h"
+#include "libcalib/paint_spline.h"
+#include "libcalib/response_algebra.h"
+#include "libcalib/samples.h"
+
+namespace lacquer::calib {
+
+namespace {
+
+constexpr std::uint32_t tiles_across = 8;  // of an image
+constexpr double highest_theta_h = 1.25, highest_theta_d = 1.25;
+
+/// A view at some geometry.
+struct Scene {
+  glm::dvec3 light, axis;  ///< rig frame; axis: unit, from the light towards where it is aimed
+  double falloff = 0;
+  double log_factor = 0;
+};
+
+/// Camera and sphere at some geometry.
+struct Sphere {
+  glm::dmat3 rig_from_cam;
+  glm::dvec3 translation;  ///< of the sphere's centre, camera frame
+  double radius;
+};
+
+struct Seen {
+  double log_irradiance;  ///< per intensity
+  brdf::HalfDiff coordinates;
+  glm::dvec3 wi;
+  double cos_i, cos_o;
+};
+
+std::optional<Seen> see(const Sphere& sphere, const Scene& scene, const glm::dvec3& sight) {
+  const double along = glm::dot(sphere.translation, sight);
+  const glm::dvec3 nearest = along * sight - sphere.translation;
+  const double half_chord2 = sphere.radius * sphere.radius - glm::dot(nearest, nearest);
+  if (!(half_chord2 > 0)) return std::nullopt;
+  const glm::dvec3 position = sphere.rig_from_cam * (nearest - std::sqrt(half_chord2) * sight), normal = position / sphere.radius;
+  const glm::dvec3 wo = -(sphere.rig_from_cam * sight), to_light = scene.light - position;
+  const double distance2 = glm::dot(to_light, to_light);
+  Seen s;
+  s.wi = to_light / std::sqrt(distance2);
+  s.cos_i = glm::dot(normal, s.wi);
+  s.cos_o = glm::dot(normal, wo);
+  const double off_axis = -glm::dot(s.wi, scene.axis);
+  if (!(s.cos_i > 0 && s.cos_o > 0 && off_axis > 0)) return std::nullopt;
+  s.log_irradiance = std::log(s.cos_i / distance2) + scene.falloff * std::log(off_axis) + scene.log_factor;
+  s.coordinates = brdf::half_diff({acquire::to_shading_frame({position, normal, wo}, s.wi).wi, acquire::to_shading_frame({position, normal, wo}, wo).wi});
+  return s;
+}
+
+/// How scene and sphere move with an unknown, by unit of it.
+struct Motion {
+  glm::dvec3 light, axis;
+};
+
+std::vector<Scene> scenes_of(const acquire::RigGeometry& g, double scale, const std::vector<PaintView>& views) {
+  std::vector<Scene> scenes;
+  for (const PaintView& v : views) {
+    const acquire::PlacedLight placed = g.place_light(v.light, scale * v.turntable_angle);
+    scenes.push_back({placed.position, placed.axis, placed.falloff_exponent, std::log(v.factor)});
+  }
+  return scenes;
+}
+
+/// Columns beyond the geometry's: what else shapes the pattern of the light.
+struct Nuisances {
+  struct Column {
+    enum class Kind { vignetting, falloff, aim_a, aim_b, scale } kind;
+    std::size_t light;
+    double sigma;
+  };
+  std::vector<Column> columns;
+
+  Nuisances(const acquire::RigGeometry& g, const std::vector<PaintView>& views, const PaintOptions& o) {
+    columns.push_back({Column::Kind::vignetting, 0, o.vignetting});
+    bool first = true;
+    for (std::size_t i = 0; i < g.lights.size(); ++i) {
+      if (std::none_of(views.begin(), views.end(), [&](const PaintView& v) { return v.light == i; })) continue;
+      if (!first) columns.push_back({Column::Kind::scale, i, o.light_scale});
+      first = false;
+      if (!(g.lights[i].falloff_exponent > 0)) continue;
+      columns.push_back({Column::Kind::falloff, i, o.falloff * g.lights[i].falloff_exponent});
+      columns.push_back({Column::Kind::aim_a, i, o.aim_rad});
+      columns.push_back({Column::Kind::aim_b, i, o.aim_rad});
+    }
+  }
+  /// Derivative of the logarithm of what a sample sees.
+  double derivative(const Column& c, const PaintSample& sample, const PaintView& view, const Scene& scene, const Seen& seen) const {
+    if (c.kind == Column::Kind::vignetting) return -sample.corner2;
+    if (c.light != view.light) return 0;
+    const double off_axis = -glm::dot(seen.wi, scene.axis);
+    if (c.kind == Column::Kind::scale) return 1;
+    if (c.kind == Column::Kind::falloff) return std::log(off_axis);
+    // The aim is rigid on the arm: in axes that turn with it, one along the arm's plane as far as the camera's x tells.
+    const glm::dvec3 a = glm::normalize(glm::cross(std::abs(scene.axis.y) < 0.9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0), scene.axis)), b = glm::cross(scene.axis, a);
+    return scene.falloff * -glm::dot(seen.wi, c.kind == Column::Kind::aim_a ? a : b) / off_axis;
+  }
+};
+
+using Columns = std::vector<std::vector<double>>;
+
+/// Sums over a piece of the samples.
+struct Sums {
+  SplineMatrix paint;
+  std::vector<double> paint_residual = std::vector<double>(PaintSpline::size);
+  Columns cross;              ///< by column: B' W d
+  SymmetricMatrix columns;    ///< d' W d
+  std::vector<double> residual;  ///< d' W r
+  void add(const Sums& o) {
+    paint.add(o.paint);
+    for (std::size_t i = 0; i < paint_residual.size(); ++i) paint_residual[i] += o.paint_residual[i];
+    for (std::size_t k = 0; k < cross.size(); ++k)
+      for (std::size_t i = 0; i < cross[k].size(); ++i) cross[k][i] += o.cross[k][i];
+    columns.add(o.columns);
+    for (std::size_t k = 0; k < residual.size(); ++k) residual[k] += o.residual[k];
+  }
+};
+
+class Evidence {
+ public:
+  Evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns, const std::vector<double>& x,
+           const PaintOptions& options)
+      : samples_(samples), views_(views), options_(options), geometry_(unknowns.geometry(x)), x_(x), n_unknowns_(x.size()),
+        sphere_{glm::transpose(geometry_.cam_from_rig.rotation), geometry_.cam_from_rig.translation, geometry_.sphere_radius},
+        scenes_(scenes_of(geometry_, unknowns.turntable_scale(x), views)), nuisances_(geometry_, views, options),
+        spline_(options.lowest_theta_h, highest_theta_h, highest_theta_d), weight_(samples.size()), residual_(samples.size()), bend_(samples.size()), seen_(samples.size()), slope_(samples.size()), coefficients_(PaintSpline::size) {
+    constexpr double step = 1e-3;
+    {
+      std::vector<PaintView> up = views, down = views;
+      for (PaintView& v : up) v.turntable_angle += step;
+      for (PaintView& v : down) v.turntable_angle -= step;
+      const std::vector<Scene> s = scenes_of(geometry_, unknowns.turntable_scale(x), up), t = scenes_of(geometry_, unknowns.turntable_scale(x), down);
+      for (std::size_t v = 0; v < views.size(); ++v) turn_.push_back({(s[v].light - t[v].light) / (2 * step), (s[v].axis - t[v].axis) / (2 * step)});
+    }
+    for (std::size_t k = 0; k < n_unknowns_; ++k) {
+      std::vector<double> up = x, down = x;
+      up[k] += step;
+      down[k] -= step;
+      const acquire::RigGeometry a = unknowns.geometry(up), b = unknowns.geometry(down);
+      const std::vector<Scene> s = scenes_of(a, unknowns.turntable_scale(up), views), t = scenes_of(b, unknowns.turntable_scale(down), views);
+      sphere_motion_.push_back((a.cam_from_rig.translation - b.cam_from_rig.translation) / (2 * step));
+      motion_.emplace_back();
+      for (std::size_t v = 0; v < views.size(); ++v) motion_.back().push_back({(s[v].light - t[v].light) / (2 * step), (s[v].axis - t[v].axis) / (2 * step)});
+    }
+  }
+
+  PaintEvidence find() {
+    choose();
+    PaintEvidence e;
+    if (n_used_ < 4 * PaintSpline::size) return e;
+    fit_paint();
+    for (int pass = 0; pass < 2; ++pass) {
+      weigh();
+      find_bends();
+      fit_paint();
+    }
+    e.n_samples = n_used_;
+    e.scatter = scatter_;
+    eliminate(e);
+    return e;
+  }
+
+ private:
+  std::size_t n_columns() const { return n_unknowns_ + nuisances_.columns.size(); }
+
+  /// In fixed pieces, added up in order: the result does not depend on the number of threads.
+  template <typename Body>
+  void each_piece(const Body& body) const {
+    tbb::parallel_for(std::size_t{0}, n_pieces, [&](std::size_t p) { body(p, samples_.size() * p / n_pieces, samples_.size() * (p + 1) / n_pieces); });
+  }
+
+  /// Derivatives of ln(radiance) by the light's place and the sphere's, at a sample.
+  struct Slope {
+    glm::dvec3 by_light, by_sphere;
+  };
+
+  std::optional<Seen> usable(std::size_t i) const {
+    const auto seen = see(sphere_, scenes_[samples_[i].view], samples_[i].sight);
+    if (!seen || seen->cos_i < options_.min_cosine || seen->cos_o < options_.min_cosine || !spline_.contains(seen->coordinates)) return std::nullopt;
+    return seen;
+  }
+
+  void choose() {
+    each_piece([&](std::size_t, std::size_t first, std::size_t last) {
+      for (std::size_t i = first; i < last; ++i)
+        if (const auto seen = usable(i)) {
+          seen_[i] = *seen;
+          weight_[i] = 1 / (samples_[i].variance + scatter_ * scatter_);
+        }
+    });
+    n_used_ = static_cast<std::size_t>(std::count_if(weight_.begin(), weight_.end(), [](double w) { return w > 0; }));
+  }
+
+  double paint_at(const brdf::HalfDiff& c) const {
+    const PaintSpline::Basis b = spline_.at(c);
+    double sum = 0;
+    for (std::size_t k = 0; k < PaintSpline::n_met; ++k) sum += b.value[k] * coefficients_[b.index[k]];
+    return sum;
+  }
+
+  /// The paint at this geometry, and what it leaves.
+  void fit_paint() {
+    std::vector<Sums> sums(n_pieces);
+    each_piece([&](std::size_t p, std::size_t first, std::size_t last) {
+      for (std::size_t i = first; i < last; ++i) {
+        if (!(weight_[i] > 0)) continue;
+        const Seen& seen = seen_[i];
+        const PaintSpline::Basis b = spline_.at(seen.coordinates);
+        const double y = weight_[i] * (samples_[i].log_radiance - seen.log_irradiance - bend_[i]);
+        sums[p].paint.add(b, weight_[i]);
+        for (std::size_t k = 0; k < PaintSpline::n_met; ++k) sums[p].paint_residual[b.index[k]] += y * b.value[k];
+      }
+    });
+    for (std::size_t p = 1; p < n_pieces; ++p) {
+      sums[0].paint.add(sums[p].paint);
+      for (std::size_t k = 0; k < PaintSpline::size; ++k) sums[0].paint_residual[k] += sums[p].paint_residual[k];
+    }
+    sums[0].paint.add_smoothness(smoothness);
+    sums[0].paint.factor();
+    coefficients_ = sums[0].paint_residual;
+    sums[0].paint.solve_lower(coefficients_);
+    sums[0].paint.solve_upper(coefficients_);
+    each_piece([&](std::size_t, std::size_t first, std::size_t last) {
+      for (std::size_t i = first; i < last; ++i) {
+        if (!(weight_[i] > 0)) continue;
+        const Seen& seen = seen_[i];
+        residual_[i] = samples_[i].log_radiance - seen.log_irradiance - paint_at(seen.coordinates) - bend_[i];
+      }
+    });
+  }
+
+  /// By how much the mean of a block is more than its middle, to second order: logarithms are averaged over the block, radiances by lens
+  /// and pixel.
+  void find_bends() {
+    each_piece([&](std::size_t, std::size_t first, std::size_t last) {
+      for (std::size_t i = first; i < last; ++i) {
+        if (!(weight_[i] > 0)) continue;
+        const PaintSample& s = samples_[i];
+        double sum = 0;
+        glm::dvec2 slope(0.0);
+        bool all = true;
+        for (const double u : {-1.0, 1.0})
+          for (const double v : {-1.0, 1.0}) {
+            const auto seen = see(sphere_, scenes_[s.view], glm::normalize(s.sight + u * s.spread[0] + v * s.spread[1]));
+            all = all && seen;
+            if (!seen) continue;
+            const double level = seen->log_irradiance + paint_at(seen->coordinates);
+            sum += level / 4;
+            slope += glm::dvec2(u, v) * (level / 4);
+          }
+        const double bend = sum - seen_[i].log_irradiance - paint_at(seen_[i].coordinates);
+        bend_[i] = all ? (1 + options_.blur) * bend + options_.blur * 0.5 * glm::dot(slope, slope) : 0;
+      }
+    });
+  }
+
+  /// Scatter about the paint beyond the noise, by medians; then each sample's weight.
+  void weigh() {
+    std::vector<double> sizes, variances;
+    for (std::size_t i = 0; i < samples_.size(); ++i) {
+      if (!(weight_[i] > 0)) continue;
+      sizes.push_back(std::abs(residual_[i]));
+      variances.push_back(samples_[i].variance);
+    }
+    const auto median = [](std::vector<double>& v) {
+      const auto middle = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
+      std::nth_element(v.begin(), middle, v.end());
+      return *middle;
+    };
+    constexpr double least = 0.001, median_of_normal = 0.67449, cauchy = 3;
+    const double size = median(sizes) / median_of_normal;
+    scatter_ = std::sqrt(std::max(least * least, size * size - median(variances)));
+    for (std::size_t i = 0; i < samples_.size(); ++i) {
+      if (!(weight_[i] > 0)) continue;
+      const double variance = samples_[i].variance + scatter_ * scatter_;
+      weight_[i] = 1 / (variance * (1 + residual_[i] * residual_[i] / (cauchy * cauchy * variance)));
+    }
+  }
+
+  Slope slope_at(std::size_t i) const {
+    const PaintSample& sample = samples_[i];
+    const Seen& seen = seen_[i];
+    const Scene& scene = scenes_[sample.view];
+    const double step = 1e-5 * sphere_.radius;
+    const auto level = [&](const Sphere& sphere, const Scene& moved) {
+      const auto s = see(sphere, moved, sample.sight);
+      return s ? s->log_irradiance + paint_at(s->coordinates) : seen.log_irradiance + paint_at(seen.coordinates);
+    };
+    Slope slope;
+    for (int k = 0; k < 3; ++k) {
+      Scene up = scene, down = scene;
+      up.light[k] += step;
+      down.light[k] -= step;
+      slope.by_light[k] = (level(sphere_, up) - level(sphere_, down)) / (2 * step);
+      Sphere right = sphere_, left = sphere_;
+      right.translation[k] += step;
+      left.translation[k] -= step;
+      slope.by_sphere[k] = (level(right, scene) - level(left, scene)) / (2 * step);
+    }
+    return slope;
+  }
+
+  glm::dvec3 axis_slope(std::size_t i) const {
+    const Scene& scene = scenes_[samples_[i].view];
+    return scene.falloff * seen_[i].wi / glm::dot(seen_[i].wi, scene.axis);
+  }
+
+  /// Derivatives of ln(radiance) by all columns, at a sample.
+  void derivatives(std::size_t i, std::vector<double>& d) const {
+    const PaintSample& sample = samples_[i];
+    const Seen& seen = seen_[i];
+    const Scene& scene = scenes_[sample.view];
+    const glm::dvec3 by_axis = axis_slope(i);
+    for (std::size_t k = 0; k < n_unknowns_; ++k) {
+      const Motion& m = motion_[k][sample.view];
+      d[k] = glm::dot(slope_[i].by_light, m.light) + glm::dot(by_axis, m.axis) + glm::dot(slope_[i].by_sphere, sphere_motion_[k]);
+    }
+    for (std::size_t k = 0; k < nuisances_.columns.size(); ++k)
+      d[n_unknowns_ + k] = nuisances_.derivative(nuisances_.columns[k], sample, views_[sample.view], scene, seen);
+  }
+
+  Sums joint_sums() {
+    std::vector<Sums> sums(n_pieces);
+    each_piece([&](std::size_t p, std::size_t first, std::size_t last) {
+      Sums& s = sums[p];
+      s.cross.assign(n_columns(), std::vector<double>(PaintSpline::size));
+      s.columns = SymmetricMatrix(n_columns());
+      s.residual.assign(n_columns(), 0.0);
+      std::vector<double> d(n_columns());
+      for (std::size_t i = first; i < last; ++i) {
+        const double w = weight_[i];
+        if (!(w > 0)) continue;
+        const Seen& seen = seen_[i];
+        const PaintSpline::Basis b = spline_.at(seen.coordinates);
+        slope_[i] = slope_at(i);
+        derivatives(i, d);
+        s.paint.add(b, w);
+        for (std::size_t k = 0; k < PaintSpline::n_met; ++k) s.paint_residual[b.index[k]] += w * residual_[i] * b.value[k];
+        for (std::size_t r = 0; r < d.size(); ++r) {
+          for (std::size_t k = 0; k < PaintSpline::n_met; ++k) s.cross[r][b.index[k]] += w * d[r] * b.value[k];
+          for (std::size_t c = 0; c <= r; ++c) s.columns.at(r, c) += w * d[r] * d[c];
+          s.residual[r] += w * d[r] * residual_[i];
+        }
+      }
+    });
+    for (std::size_t p = 1; p < n_pieces; ++p) {
+      sums[0].add(sums[p]);
+      sums[p] = Sums();
+    }
+    sums[0].paint.add_smoothness(smoothness);
+    sums[0].paint.factor();
+    return std::move(sums[0]);
+  }
+
+  /// Sum over tiles of the views of s s', s the tile's sum of w r (d - what the paint takes of it); and what a wrong angle adds, which all
+  /// tiles of a view share.
+  SymmetricMatrix scatter_of_tiles(const Columns& taken, const std::vector<double>& paint_step, const std::vector<double>& step) const {
+    const std::size_t n = n_columns(), n_tiles = views_.size() * tiles_across * tiles_across;
+    std::vector<Columns> scores(n_pieces), turns(n_pieces);
+    each_piece([&](std::size_t p, std::size_t first, std::size_t last) {
+      scores[p].assign(n_tiles, {});
+      turns[p].assign(views_.size(), std::vector<double>(n));
+      std::vector<double> d(n);
+      for (std::size_t i = first; i < last; ++i) {
+        if (!(weight_[i] > 0)) continue;
+        const Seen& seen = seen_[i];
+        const PaintSpline::Basis b = spline_.at(seen.coordinates);
+        derivatives(i, d);
+        double r = residual_[i];
+        for (std::size_t k = 0; k < PaintSpline::n_met; ++k) r -= b.value[k] * paint_step[b.index[k]];
+        for (std::size_t c = 0; c < n; ++c) {
+          for (std::size_t k = 0; k < PaintSpline::n_met; ++k) d[c] -= b.value[k] * taken[c][b.index[k]];
+          r -= d[c] * step[c];
+        }
+        std::vector<double>& score = scores[p][samples_[i].view * tiles_across * tiles_across + samples_[i].tile];
+        if (score.empty()) score.assign(n, 0.0);
+        const Motion& turn = turn_[samples_[i].view];
+        const double by_angle = glm::dot(slope_[i].by_light, turn.light) + glm::dot(axis_slope(i), turn.axis);
+        for (std::size_t c = 0; c < n; ++c) {
+          score[c] += weight_[i] * r * d[c];
+          turns[p][samples_[i].view][c] += weight_[i] * by_angle * d[c];
+        }
+      }
+    });
+    SymmetricMatrix m(n);
+    std::size_t n_filled = 0;
+    for (std::size_t t = 0; t < n_tiles; ++t) {
+      std::vector<double> score(n);
+      bool filled = false;
+      for (std::size_t p = 0; p < n_pieces; ++p)
+        for (std::size_t c = 0; c < scores[p][t].size(); ++c) {
+          score[c] += scores[p][t][c];
+          filled = true;
+        }
+      n_filled += filled;
+      for (std::size_t r = 0; r < n; ++r)
+        for (std::size_t c = 0; c <= r; ++c) m.at(r, c) += score[r] * score[c];
+    }
+    m.scale(static_cast<double>(n_filled) / std::max(1.0, static_cast<double>(n_filled) - static_cast<double>(n)));
+    for (std::size_t v = 0; v < views_.size(); ++v) {
+      for (std::size_t p = 1; p < n_pieces; ++p)
+        for (std::size_t c = 0; c < n; ++c) turns[0][v][c] += turns[p][v][c];
+      for (std::size_t r = 0; r < n; ++r)
+        for (std::size_t c = 0; c <= r; ++c) m.at(r, c) += options_.angle_rad * options_.angle_rad * turns[0][v][r] * turns[0][v][c];
+    }
+    return m;
+  }
+
+  void eliminate(PaintEvidence& e) {
+    const Sums sums = joint_sums();
+    const std::size_t n = n_columns();
+    // The paint's share, by L^-1 of its matrix.
+    std::vector<double> z = sums.paint_residual;
+    sums.paint.solve_lower(z);
+    Columns y = sums.cross;
+    tbb::parallel_for(std::size_t{0}, n, [&](std::size_t k) { sums.paint.solve_lower(y[k]); });
+    SymmetricMatrix s = sums.columns;
+    std::vector<double> g = sums.residual;
+    for (std::size_t r = 0; r < n; ++r) {
+      for (std::size_t c = 0; c <= r; ++c)
+        for (std::size_t i = 0; i < z.size(); ++i) s.at(r, c) -= y[r][i] * y[c][i];
+      for (std::size_t i = 0; i < z.size(); ++i) g[r] -= y[r][i] * z[i];
+    }
+    Columns taken = y;
+    tbb::parallel_for(std::size_t{0}, n, [&](std::size_t k) { sums.paint.solve_upper(taken[k]); });
+    std::vector<double> paint_step = z;
+    sums.paint.solve_upper(paint_step);
+    SymmetricMatrix with_priors = s;
+    for (std::size_t k = 0; k < n; ++k) with_priors.at(k, k) += k < n_unknowns_ ? 1 : 1 / std::pow(nuisances_.columns[k - n_unknowns_].sigma, 2);
+    const SymmetricMatrix m = scatter_of_tiles(taken, paint_step, solve(with_priors, g));
+
+    // Information that the scatter supports: S M^-1 S, and the gradient with it; then without the nuisances.
+    Columns m_s(n);
+    for (std::size_t k = 0; k < n; ++k) {
+      std::vector<double> column(n);
+      for (std::size_t r = 0; r < n; ++r) column[r] = s(r, k);
+      m_s[k] = solve(m, std::move(column));
+    }
+    SymmetricMatrix full(n);
+    std::vector<double> gradient(n);
+    for (std::size_t r = 0; r < n; ++r) {
+      for (std::size_t c = 0; c <= r; ++c)
+        for (std::size_t k = 0; k < n; ++k) full.at(r, c) += m_s[r][k] * s(k, c);
+      for (std::size_t k = 0; k < n; ++k) gradient[r] += m_s[r][k] * g[k];
+    }
+    marginalise(full, gradient, e);
+  }
+
+  void marginalise(const SymmetricMatrix& full, const std::vector<double>& gradient, PaintEvidence& e) const {
+    const std::size_t n = n_unknowns_, m = nuisances_.columns.size();
+    SymmetricMatrix own(m);
+    std::vector<double> own_gradient(m);
+    for (std::size_t r = 0; r < m; ++r) {
+      for (std::size_t c = 0; c <= r; ++c) own.at(r, c) = full(n + r, n + c);
+      own.at(r, r) += 1 / std::pow(nuisances_.columns[r].sigma, 2);
+      own_gradient[r] = gradient[n + r];
+    }
+    const std::vector<double> own_step = solve(own, own_gradient);
+    cv::Mat information(static_cast<int>(n), static_cast<int>(n), CV_64F);
+    std::vector<double> remaining(n);
+    for (std::size_t r = 0; r < n; ++r) {
+      std::vector<double> row(m);
+      for (std::size_t k = 0; k < m; ++k) row[k] = full(n + k, r);
+      const std::vector<double> w = solve(own, row);
+      for (std::size_t c = 0; c <= r; ++c) {
+        double sum = full(r, c);
+        for (std::size_t k = 0; k < m; ++k) sum -= w[k] * full(n + k, c);
+        information.at<double>(static_cast<int>(r), static_cast<int>(c)) = information.at<double>(static_cast<int>(c), static_cast<int>(r)) = sum;
+      }
+      remaining[r] = gradient[r];
+      for (std::size_t k = 0; k < m; ++k) remaining[r] -= row[k] * own_step[k];
+    }
+    cv::Mat values, vectors;
+    cv::eigen(information, values, vectors);
+    for (int k = 0; k < static_cast<int>(n); ++k) {
+      const double root = std::sqrt(std::max(0.0, values.at<double>(k)));
+      constexpr double nothing = 1e-3;  // of the prior's information: 1e-6
+      if (!(root > nothing)) continue;
+      std::vector<double> row(n);
+      double offset = 0;
+      for (std::size_t i = 0; i < n; ++i) {
+        const double v = vectors.at<double>(k, static_cast<int>(i));
+        row[i] = root * v;
+        offset += v * remaining[i] / root + row[i] * x_[i];
+      }
+      e.geometry.rows.push_back(std::move(row));
+      e.geometry.offset.push_back(offset);
+    }
+    e.geometry.lights.assign(geometry_.lights.size(), false);
+    for (const PaintView& v : views_) e.geometry.lights[v.light] = true;
+  }
+
+  static constexpr std::size_t n_pieces = 8;
+  static constexpr double smoothness = 4;  // second differences of ln f of 0.5 and more are not expected
+
+  const std::vector<PaintSample>& samples_;
+  const std::vector<PaintView>& views_;
+  PaintOptions options_;
+  acquire::RigGeometry geometry_;
+  std::vector<double> x_;
+  std::size_t n_unknowns_, n_used_ = 0;
+  Sphere sphere_;
+  std::vector<Scene> scenes_;
+  Nuisances nuisances_;
+  std::vector<std::vector<Motion>> motion_;  ///< by unknown and view
+  std::vector<Motion> turn_;                 ///< by view, per radian of the turntable
+  std::vector<glm::dvec3> sphere_motion_;
+  PaintSpline spline_;
+  double scatter_ = 0.01;  ///< to begin with
+  std::vector<double> weight_, residual_, bend_;
+  std::vector<Seen> seen_;
+  std::vector<Slope> slope_;
+  std::vector<double> coefficients_;
+};
+
+}  // namespace
+
+void PaintOptions::validate() const {
+  if (!(lowest_theta_h > 0 && lowest_theta_h < 1)) throw Error(ErrorCode::usage, "lowest_theta_h: expected radians in (0, 1)");
+  if (!(min_cosine > 0 && min_cosine < 1)) throw Error(ErrorCode::usage, "min_cosine: expected a number in (0, 1)");
+  for (const double s : {aim_rad, falloff, vignetting, light_scale})
+    if (!(s > 0 && std::isfinite(s))) throw Error(ErrorCode::usage, "priors of the light's pattern: expected numbers > 0");
+}
+
+PaintBlocks paint_blocks(const acquire::RigGeometry& g, std::size_t n_views) {
+  constexpr double wanted = 100000, usable = 0.4, per_radius = 54;
+  const double radius = g.camera.focal.x * g.sphere_radius / g.cam_from_rig.translation.z;
+  PaintBlocks b;
+  b.block = 2 * std::max(1, static_cast<int>(std::lround(radius / per_radius / 2)));
+  const double apart = std::sqrt(3.14159265358979323846 * radius * radius * usable * static_cast<double>(n_views) / wanted);
+  b.stride = std::max(b.block, 2 * static_cast<int>(std::lround(apart / 2)));
+  return b;
+}
+
+void add_paint_samples(const RadianceImage& image, const Calibration& calibration, std::uint32_t view, const PaintBlocks& blocks, std::vector<PaintSample>& samples) {
+  constexpr double noisy = 0.1;  // relative: beyond it the logarithm of a mean is no longer the mean of the logarithm
+  const acquire::RigGeometry& g = calibration.geometry;
+  const int per_pixel = acquire::values_per_pixel(image.layout);
+  const bool colour = image.layout != acquire::PixelLayout::mono;
+  const double corner2 = std::pow(std::max(g.camera.centre.x + 0.5, g.camera.width - 0.5 - g.camera.centre.x), 2) +
+                         std::pow(std::max(g.camera.centre.y + 0.5, g.camera.height - 0.5 - g.camera.centre.y), 2);
+  const int block = blocks.block;
+  // Another part of the grid in each view.
+  const int first = 2 * (static_cast<int>(view) * 7 % std::max(1, blocks.stride / 2));
+  for (int row = first; row + block <= image.height; row += blocks.stride)
+    for (int column = (first * 3) % blocks.stride; column + block <= image.width; column += blocks.stride) {
+      const glm::dvec2 middle = glm::dvec2(column, row) + 0.5 * (block - 1);
+      const auto point = acquire::trace(g, middle);
+      if (!point || glm::dot(point->normal, point->wo) < 0.2) continue;
+      glm::dvec2 place(0.0);
+      double n = 0, sum = 0, variances = 0;
+      for (int y = row; y < row + block; ++y)
+        for (int x = column; x < column + block; ++x) {
+          const int k = per_pixel > 1 ? 1 : 0;
+          if (colour && acquire::channel_of(image.layout, x, y, k) != 1) continue;
+          const auto i = static_cast<std::size_t>((static_cast<std::ptrdiff_t>(y) * image.width + x) * per_pixel + k);
+          const double value = image.radiance[i], relative = image.variance[i] / (value * value);
+          if (image.flags[i] != PixelFlag::valid || !(value > 0) || !(relative < noisy * noisy)) continue;
+          place += glm::dvec2(x, y);
+          sum += std::log(value / lens_transmission(calibration, {x, y})) + relative / 2;  // of the mean, not the mean of logarithms
+          variances += relative;
+          ++n;
+        }
+      if (2 * n < block * block * (colour && per_pixel == 1 ? 0.5 : 1.0)) continue;  // half of them at least
+      place /= n;
+      const double reach = std::sqrt(blocks.variance());
+      const auto ray = g.camera.unproject(place), right = g.camera.unproject(place + glm::dvec2(reach, 0)), below = g.camera.unproject(place + glm::dvec2(0, reach));
+      if (!ray || !right || !below) continue;
+      const glm::dvec2 offset = middle - g.camera.centre;
+      PaintSample s;
+      s.view = view;
+      s.tile = static_cast<std::uint32_t>(row) * tiles_across / static_cast<std::uint32_t>(image.height) * tiles_across +
+               static_cast<std::uint32_t>(column) * tiles_across / static_cast<std::uint32_t>(image.width);
+      s.sight = ray->direction;
+      s.spread = {right->direction - ray->direction, below->direction - ray->direction};
+      s.variance = variances / (n * n);
+      s.log_radiance = sum / n;
+      s.corner2 = glm::dot(offset, offset) / corner2;
+      samples.push_back(s);
+    }
+}
+
+PaintEvidence paint_evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns,
+                             const std::vector<double>& x, const PaintOptions& options) {
+  options.validate();
+  return Evidence(samples, views, unknowns, x, options).find();
+}
+
+}  // namespace lacquer::calib
