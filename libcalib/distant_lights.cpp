@@ -165,6 +165,7 @@ DistantLights find_distant_lights(const std::string& name, const acquire::RigGeo
                                               name, views.size()));
   DistantLights result;
   result.n_arcs = outline.n_arcs;
+  if (!(calibration.lens_blur_px > 0)) calibration.lens_blur_px = outline.lens_blur_px;
   // Size and distance are one unknown here: nobody has measured them with a ruler.
   GeometryPriors priors;
   priors.sphere_m = 2 * nominal.sphere_radius;

@@ -28,7 +28,7 @@ struct Consequence {
   double log_distance;
 };
 
-Consequence consequence(const GeometryUnknowns& unknowns, const std::vector<double>& x, const Highlight& h, const glm::dvec2& pixel) {
+Consequence consequence(const GeometryUnknowns& unknowns, const std::vector<double>& x, const GeometryEvidence::View& h, const glm::dvec2& pixel) {
   const acquire::RigGeometry g = unknowns.geometry(x);
   const glm::dvec3 light = g.place_light(h.light, h.turntable_angle * unknowns.turntable_scale(x)).position;
   Consequence c{glm::normalize(light), glm::dvec3(0), std::log(glm::length(light))};
@@ -131,14 +131,16 @@ std::vector<std::string> contradictions(const GeometryUnknowns& unknowns, const 
 
 GeometryEffects geometry_effects(const GeometryResiduals& residuals, const std::vector<double>& x) {
   const GeometryUnknowns& unknowns = residuals.unknowns();
-  const std::vector<Highlight>& highlights = residuals.highlights();
+  std::vector<GeometryEvidence::View> views = residuals.evidence().views;
+  if (views.empty())
+    for (const Highlight& h : residuals.highlights()) views.push_back({h.light, h.turntable_angle});
   constexpr std::size_t max_views = 60;
   constexpr double step = 1e-3;
   GeometryEffects e;
   const acquire::RigGeometry g = unknowns.geometry(x);
-  const std::size_t n = highlights.size(), stride = std::max<std::size_t>(1, n / max_views);
+  const std::size_t n = views.size(), stride = std::max<std::size_t>(1, n / max_views);
   for (std::size_t i = 0; i < n; i += stride) {
-    const Highlight& h = highlights[i];
+    const GeometryEvidence::View& h = views[i];
     const auto lit = sample_pixel(g, g.place_light(h.light, h.turntable_angle * unknowns.turntable_scale(x)).position, i);
     if (!lit) continue;
     const glm::dvec2 pixel = *lit;

@@ -41,6 +41,7 @@ class GeometryResiduals {
   const GeometryUnknowns& unknowns() const { return unknowns_; }
   const std::vector<EdgePoint>& edges() const { return edges_; }
   const std::vector<Highlight>& highlights() const { return highlights_; }
+  const GeometryEvidence& evidence() const { return evidence_; }
   const std::vector<bool>& edge_used() const { return edge_used_; }
   const std::vector<bool>& highlight_used() const { return highlight_used_; }
   const glm::dvec2& side(std::size_t edge) const { return sides_[edge]; }  ///< of the silhouette that an edge point is on, unit vector in the image

@@ -97,6 +97,8 @@ class Estimator {
     trial_.geometry = outline.geometry;
     // The lights stay where they are in the room while the origin moves with the sphere.
     if (!outline.edges.empty()) trial_.geometry = solve_geometry(nominal_, outline.edges, {}, options_.priors).geometry;
+    if (!(trial_.lens_blur_px > 0)) trial_.lens_blur_px = outline.lens_blur_px;
+    result_.lens_blur_px = outline.lens_blur_px;
     result_.n_arcs = outline.n_arcs;
     result_.n_dark_arcs = outline.n_dark;
     result_.edges = outline.edges;
@@ -160,10 +162,9 @@ class Estimator {
   void refine_with_paint() {
     GeometryEvidence evidence;
     std::vector<PaintView> lit;
-    evidence.lights.assign(nominal_.lights.size(), false);
     for (const GeometryView& view : views_) {
       lit.push_back({view.light, view.turntable_angle, view.factor});
-      evidence.lights[view.light] = true;
+      evidence.views.push_back({view.light, view.turntable_angle});
     }
     const GeometryUnknowns unknowns(nominal_, options_.priors, lights_with_data(nominal_, result_.highlights, evidence));
     const GeometryEstimate before = result_.estimate;
@@ -225,6 +226,7 @@ SessionGeometry estimate_geometry(const std::string& name, const acquire::RigGeo
   SessionGeometry result = estimator.find();
   calibration.geometry = result.estimate.geometry;
   calibration.turntable_scale = result.estimate.turntable_scale;
+  if (!(calibration.lens_blur_px > 0)) calibration.lens_blur_px = result.lens_blur_px;
   calibration.geometry_uncertainty = result.estimate.uncertainty;
   calibration.geometry_source = result.paint.n_samples == 0 ? "estimated from highlights and silhouette" : result.highlights.empty() ? "estimated from silhouette and light on the paint"
                                                                                                           : "estimated from highlights, silhouette and light on the paint";

@@ -20,6 +20,7 @@ struct SessionGeometry {
   std::size_t n_views = 0;
   std::size_t n_arcs = 0;          ///< of the silhouette, in all
   std::size_t n_dark_arcs = 0;     ///< that no light ever reached
+  double lens_blur_px = 0;         ///< as the rig file states it, or as the limb shows it where it does not
   std::vector<EdgePoint> edges;
   std::vector<Highlight> highlights;
   std::map<HighlightFate, std::vector<std::string>> rejected;  ///< views, by reason

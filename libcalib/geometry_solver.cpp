@@ -139,8 +139,8 @@ void GeometryPriors::validate() const {
 }
 
 std::vector<bool> lights_with_data(const acquire::RigGeometry& nominal, const std::vector<Highlight>& highlights, const GeometryEvidence& evidence) {
-  std::vector<bool> seen = evidence.lights;
-  seen.resize(nominal.lights.size());
+  std::vector<bool> seen(nominal.lights.size());
+  for (const GeometryEvidence::View& view : evidence.views) seen[view.light] = true;
   for (const Highlight& h : highlights) seen[h.light] = true;
   return seen;
 }

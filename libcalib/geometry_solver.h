@@ -31,7 +31,11 @@ struct Highlight {
 
 /// What else is known of the unknowns (GeometryUnknowns' x), as residuals that are linear in them: rows[k] . x - offset[k], over sigma.
 struct GeometryEvidence {
-  std::vector<bool> lights;                ///< by light, whether it says something of its place; empty: of none
+  struct View {
+    std::size_t light = 0;
+    double turntable_angle = 0;  ///< radians, read back
+  };
+  std::vector<View> views;                 ///< it comes from
   std::vector<std::vector<double>> rows;
   std::vector<double> offset;
 };

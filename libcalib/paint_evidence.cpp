@@ -500,8 +500,7 @@ class Evidence {
       e.geometry.rows.push_back(std::move(row));
       e.geometry.offset.push_back(offset);
     }
-    e.geometry.lights.assign(geometry_.lights.size(), false);
-    for (const PaintView& v : views_) e.geometry.lights[v.light] = true;
+    for (const PaintView& v : views_) e.geometry.views.push_back({v.light, v.turntable_angle});
   }
 
   static constexpr std::size_t n_pieces = 8;
@@ -547,7 +546,7 @@ PaintBlocks paint_blocks(const acquire::RigGeometry& g, std::size_t n_views) {
 }
 
 void add_paint_samples(const RadianceImage& image, const Calibration& calibration, std::uint32_t view, const PaintBlocks& blocks, std::vector<PaintSample>& samples) {
-  constexpr double noisy = 0.1;  // relative: beyond it the logarithm of a mean is no longer the mean of the logarithm
+  constexpr double noisy = 0.05;  // relative: beyond it the logarithm of a mean is no longer the mean of the logarithm
   const acquire::RigGeometry& g = calibration.geometry;
   const int per_pixel = acquire::values_per_pixel(image.layout);
   const bool colour = image.layout != acquire::PixelLayout::mono;
@@ -563,19 +562,25 @@ void add_paint_samples(const RadianceImage& image, const Calibration& calibratio
       if (!point || glm::dot(point->normal, point->wo) < 0.2) continue;
       glm::dvec2 place(0.0);
       double n = 0, sum = 0, variances = 0;
-      for (int y = row; y < row + block; ++y)
+      bool whole = true;
+      for (int y = row; y < row + block && whole; ++y)
         for (int x = column; x < column + block; ++x) {
           const int k = per_pixel > 1 ? 1 : 0;
           if (colour && acquire::channel_of(image.layout, x, y, k) != 1) continue;
           const auto i = static_cast<std::size_t>((static_cast<std::ptrdiff_t>(y) * image.width + x) * per_pixel + k);
           const double value = image.radiance[i], relative = image.variance[i] / (value * value);
-          if (image.flags[i] != PixelFlag::valid || !(value > 0) || !(relative < noisy * noisy)) continue;
+          if (image.flags[i] == PixelFlag::invalid) continue;
+          // A block without its darkest or its brightest values is not its mean.
+          if (image.flags[i] != PixelFlag::valid || !(value > 0) || !(relative < noisy * noisy)) {
+            whole = false;
+            break;
+          }
           place += glm::dvec2(x, y);
           sum += std::log(value / lens_transmission(calibration, {x, y})) + relative / 2;  // of the mean, not the mean of logarithms
           variances += relative;
           ++n;
         }
-      if (2 * n < block * block * (colour && per_pixel == 1 ? 0.5 : 1.0)) continue;  // half of them at least
+      if (!whole || 2 * n < block * block * (colour && per_pixel == 1 ? 0.5 : 1.0)) continue;  // half of them at least
       place /= n;
       const double reach = std::sqrt(blocks.variance());
       const auto ray = g.camera.unproject(place), right = g.camera.unproject(place + glm::dvec2(reach, 0)), below = g.camera.unproject(place + glm::dvec2(0, reach));

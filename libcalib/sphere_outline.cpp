@@ -57,6 +57,7 @@ struct OutlineFinder::Implementation {
     LimbFit fit;
   };
   std::vector<ArcFit> fit_arcs(const std::vector<std::vector<LimbValue>>& profiles, const BlurredLimb& limb, double reach) const;
+  double find_blur(const acquire::RigGeometry& geometry) const;
 };
 
 OutlineFinder::OutlineFinder(const acquire::RigGeometry& nominal, const OutlineOptions& options)
@@ -208,6 +209,39 @@ std::vector<OutlineFinder::Implementation::ArcFit> OutlineFinder::Implementation
   return fits;
 }
 
+/// The blur that all limbs together fit best: the least sum of n ln(cost), each arc with a noise of its own.
+double OutlineFinder::Implementation::find_blur(const acquire::RigGeometry& geometry) const {
+  constexpr double sharpest = 0.2, softest = 3, window = 5 + 4 * softest;
+  std::vector<std::vector<LimbValue>> profiles(arcs.size());
+  tbb::parallel_for(std::size_t{0}, arcs.size(), [&](std::size_t i) {
+    if (arcs[i].n_views > 0) profiles[i] = profile(arcs[i], geometry, window);
+  });
+  const auto misfit = [&](double log_blur) {
+    const BlurredLimb limb(std::sqrt(std::exp(2 * log_blur) + 1.0 / 12), window + 3);
+    double sum = 0;
+    for (const auto& [i, fit] : fit_arcs(profiles, limb, 2.5))
+      if (fit.good) sum += static_cast<double>(profiles[i].size()) * (std::log(fit.reduced) - 30);  // an arc that is lost counts as a bad one
+    return sum;
+  };
+  double low = std::log(sharpest), high = std::log(softest);
+  constexpr double golden = 0.38196601125010515;
+  double p = low + golden * (high - low), q = high - golden * (high - low), at_p = misfit(p), at_q = misfit(q);
+  for (int i = 0; i < 10; ++i) {
+    if (at_p < at_q) {
+      high = q;
+      q = p;
+      at_q = at_p;
+      at_p = misfit(p = low + golden * (high - low));
+    } else {
+      low = p;
+      p = q;
+      at_p = at_q;
+      at_q = misfit(q = high - golden * (high - low));
+    }
+  }
+  return std::exp(0.5 * (low + high));
+}
+
 OutlineFinder::Outline OutlineFinder::finish() const {
   const Implementation& m = *implementation_;
   Outline outline{.edges = {}, .geometry = m.nominal, .n_arcs = m.arcs.size()};
@@ -223,7 +257,8 @@ OutlineFinder::Outline OutlineFinder::finish() const {
     outline.geometry = m.nominal;
     return outline;
   }
-  const double blur = std::sqrt(m.options.lens_blur_px * m.options.lens_blur_px + 1.0 / 12), window = 5 + 4 * blur;
+  outline.lens_blur_px = m.options.lens_blur_px > 0 ? m.options.lens_blur_px : m.find_blur(outline.geometry);
+  const double blur = std::sqrt(outline.lens_blur_px * outline.lens_blur_px + 1.0 / 12), window = 5 + 4 * blur;
   const BlurredLimb limb(blur, window + 3);
   for (int pass = 0; pass < 2; ++pass) {
     std::vector<std::vector<LimbValue>> profiles(m.arcs.size());

@@ -10,7 +10,7 @@
 namespace lacquer::calib {
 
 struct OutlineOptions {
-  double lens_blur_px = 0.5;   ///< sigma of the lens, without the pixel's own area
+  double lens_blur_px = 0;     ///< sigma of the lens, without the pixel's own area; 0: it is found from the limb itself
   double search_px = 0;        ///< the silhouette is looked for this far to both sides of where the rig file has it; 0: 3 sigma of a 3 mm ruler
   double min_cosine = 0.1;     ///< of light and limb: beyond it the limb is the terminator, not the silhouette
   /// Radians from the line of sight. A light further round makes the limb ever more of a highlight, which is not as a lit edge is and moves
@@ -34,6 +34,7 @@ class OutlineFinder {
     std::vector<EdgePoint> edges;
     acquire::RigGeometry geometry;   ///< nominal, with the sphere where these edges have it
     std::size_t n_arcs = 0, n_dark = 0, n_rejected = 0;  ///< arcs in all; never lit; no clear step
+    double lens_blur_px = 0;         ///< of the limb, as given or as found
   };
   /// No edges: geometry is the nominal one.
   Outline finish() const;

@@ -106,8 +106,8 @@ void print_geometry(const calib::SessionGeometry& g, const acquire::Session& ses
     fmt::print("{:<18} {:>10.{}f} {:>12.{}f} {:>10.{}f} {:>9}{}\n", p.name, factor * p.nominal, digits - 2, factor * (p.nominal + p.correction), digits,
                factor * p.sigma, digits, unit, paint ? fmt::format("   {:+10.1f}", p.paint_shift) : "");
   }
-  fmt::print("silhouette: {} of {} arcs ({} never lit, {} outliers), rms {:.3f} px, {:.1f} times the sigma of their fits\n", e.n_edges, g.n_arcs, g.n_dark_arcs,
-             e.n_edge_outliers, e.edge_rms_px, e.edge_noise_factor);
+  fmt::print("silhouette: {} of {} arcs ({} never lit, {} outliers), rms {:.3f} px, {:.1f} times the sigma of their fits; lens blur {:.2f} px\n", e.n_edges, g.n_arcs,
+             g.n_dark_arcs, e.n_edge_outliers, e.edge_rms_px, e.edge_noise_factor, g.lens_blur_px);
   fmt::print("highlights: {} of {} views, rms {:.3f} px per coordinate, across their track {:.1f} times the sigma of their fits; turntable: angles scatter by {:.3f} deg\n",
              e.n_highlights, g.n_views, e.highlight_rms_px, e.highlight_noise_factor, e.angle_sigma_rad / degree);
   for (const auto& [fate, views] : g.rejected) fmt::print("  no highlight in {}: {}\n", names(views), describe(fate));

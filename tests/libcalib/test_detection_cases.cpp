@@ -177,7 +177,7 @@ TEST(DetectionCases, DirectionsOfDistantLightsAreThoseOfTheirHighlights) {
     light.direction = {std::cos(turn) * light.direction.x - std::sin(turn) * light.direction.y, std::sin(turn) * light.direction.x + std::cos(turn) * light.direction.y, light.direction.z};
   std::vector<GeometryView> views;
   for (std::size_t k = 0; k < truth.lights.size(); ++k)
-    views.push_back({"view " + std::to_string(k), k, 0, [&truth, k] {
+    views.push_back({"view " + std::to_string(k), k, 0, 1, [&truth, k] {
                        auto rig = truth;
                        std::swap(rig.lights[0], rig.lights[k]);  // photograph() lights with the first
                        return test::photograph(rig, 0, {.diffuse = 0.1, .m = 0.03}, 0.01, 3, static_cast<unsigned>(k));

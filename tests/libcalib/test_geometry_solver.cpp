@@ -64,7 +64,8 @@ TrueRig built(const acquire::RigGeometry& nominal, const GeometryPriors& p, Draw
   return t;
 }
 
-std::vector<EdgePoint> edges_of(const acquire::RigGeometry& g, double sigma, double from, double to, int n, Draw& draw, double offset = 0) {
+std::vector<EdgePoint> edges_of(const acquire::RigGeometry& g, double sigma, double from, double to, int n, Draw& draw, double offset = 0,
+                                const glm::dvec2& side = glm::dvec2(0.0)) {
   std::vector<EdgePoint> edges;
   const glm::dvec2 centre = *g.camera.project(g.cam_from_rig.translation);
   for (int k = 0; k < n; ++k) {
@@ -74,7 +75,7 @@ std::vector<EdgePoint> edges_of(const acquire::RigGeometry& g, double sigma, dou
       const double middle = 0.5 * (low + high);
       (acquire::trace(g, centre + middle * glm::dvec2(std::cos(a), std::sin(a))) ? low : high) = middle;
     }
-    edges.push_back({centre + (low + offset + draw(sigma)) * glm::dvec2(std::cos(a), std::sin(a)), sigma});
+    edges.push_back({centre + (low + offset + side.x * std::cos(a) + side.y * std::sin(a) + draw(sigma)) * glm::dvec2(std::cos(a), std::sin(a)), sigma});
   }
   return edges;
 }
@@ -167,8 +168,9 @@ TEST(GeometrySolver, OverManyRigsTheErrorBarsHoldTheTruth) {
     Draw draw(seed + 100);
     const auto nominal = nominal_rig(2, 2.84);
     const TrueRig t = built(nominal, priors, draw);
-    // Edges all off by the same, as a prior says they may be, and on the lit part only.
-    const auto edges = edges_of(t.geometry, 0.05, -60 * degree, 120 * degree, 90, draw, draw(priors.edge_offset_px));
+    // Edges all off by the same, and more to one side, as priors say they may be, and on the lit part only.
+    const double offset = draw(priors.edge_offset_px), side_x = draw(priors.edge_side_px), side_y = draw(priors.edge_side_px);
+    const auto edges = edges_of(t.geometry, 0.05, -60 * degree, 120 * degree, 90, draw, offset, {side_x, side_y});
     const auto e = solve_geometry(nominal, edges, highlights_of(t, 0.01, 0, 150, 2.5, draw), priors);
     ASSERT_TRUE(e.converged) << seed;
     EXPECT_TRUE(e.outliers.empty()) << seed;
@@ -182,7 +184,7 @@ TEST(GeometrySolver, OverManyRigsTheErrorBarsHoldTheTruth) {
     const double truth[] = {sphere.x, sphere.y, sphere.z, t.geometry.axis_direction.z, -t.geometry.axis_direction.x, t.scale - 1};
     const double estimate[] = {e.uncertainty.parameters[0].correction, e.uncertainty.parameters[1].correction, e.uncertainty.parameters[2].correction,
                                e.geometry.axis_direction.z, -e.geometry.axis_direction.x, e.turntable_scale - 1};
-    const std::size_t index[] = {0, 1, 2, 4, 5, 9};
+    const std::size_t index[] = {0, 1, 2, 6, 7, 11};
     for (std::size_t k = 0; k < 6; ++k) {
       const double sigma = e.uncertainty.parameters[index[k]].sigma;
       ASSERT_GT(sigma, 0);
