@@ -52,7 +52,7 @@ TEST(CalibrateGeometry, AMisplacedSphereAndATiltedAxisAreFound) {
   EXPECT_LT(estimate_error(result.out, "light"), 0.05) << result.out;
   EXPECT_LT(estimate_error(result.out, "sphere centre"), 0.1) << result.out;
   const auto calibration = lacquer::calib::read_calibration(session + "/calibration.json");
-  EXPECT_EQ(calibration.geometry_source, "estimated from highlights and silhouette");
+  EXPECT_EQ(calibration.geometry_source, "estimated from highlights, silhouette and light on the paint");
   const auto& u = calibration.geometry_uncertainty;
   ASSERT_EQ(u.covariance.size(), u.parameters.size() * u.parameters.size());
   const double truth[] = {0.002, -0.002, 0.003};
@@ -67,11 +67,15 @@ TEST(CalibrateGeometry, AMisplacedSphereAndATiltedAxisAreFound) {
   EXPECT_TRUE(back.geometry_uncertainty.parameters.empty());
 }
 
-TEST(CalibrateGeometry, AMattePaintIsRefusedWithWhatToDo) {
+TEST(CalibrateGeometry, AMattePaintHasOnlyItsShadingAndWithoutThatIsRefusedWithWhatToDo) {
   const TemporaryFolder folder;
   lacquer::test::write_file(folder / "matte.json", R"({"name": "matte", "kd": [0.2, 0.2, 0.2], "lobes": [{"ks": [0.05, 0.05, 0.05], "m": 0.4, "r": 0.1}]})");
   const std::string session = session_of(folder, rig_text("{ from = 0, to = 60, step = 20 }", "paint = \"" + (folder / "matte.json").string() + "\"\n"));
-  const auto result = run_lacquer("-q calibrate geometry " + session);
+  const auto shaded = run_lacquer("-q calibrate geometry " + session);
+  ASSERT_EQ(shaded.exit_code, 0) << shaded.err;
+  EXPECT_NE(shaded.out.find("estimated from silhouette and light on the paint"), std::string::npos) << shaded.out;
+  EXPECT_LT(estimate_error(shaded.out, "light"), 0.3) << shaded.out;
+  const auto result = run_lacquer("-q calibrate geometry --without-paint " + session);
   EXPECT_EQ(result.exit_code, 1);
   EXPECT_NE(result.err.find("no highlight in any of 4 views"), std::string::npos) << result.err;
   EXPECT_NE(result.err.find("--from-rig"), std::string::npos);
