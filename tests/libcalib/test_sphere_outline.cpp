@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <opencv2/imgproc.hpp>
+
 #include "libbrdf/error.h"
 #include "libcalib/sphere_photograph.h"
 
@@ -44,6 +46,18 @@ TEST(SphereOutline, ASphereThreeMillimetresOffIsFoundFromHalfOfItsLimb) {
   double sum = 0;
   for (const EdgePoint& e : outline.edges) sum += std::abs(*silhouette_distance(truth, e.pixel));
   EXPECT_LT(sum / static_cast<double>(outline.edges.size()), 0.08);
+}
+
+TEST(SphereOutline, TheBlurOfTheLensIsFoundFromTheLimb) {
+  const auto rig = photographed_rig();
+  for (const double blur : {0.6, 1.2}) {
+    const auto outline = found(rig, rig, {0.0, 0.8}, [&](RadianceImage& image) {
+      // By OpenCV, independent of the profile that is fitted.
+      cv::Mat radiance(image.height, image.width, CV_32F, image.radiance.data());
+      cv::GaussianBlur(radiance, radiance, cv::Size(0, 0), blur);
+    });
+    EXPECT_NEAR(outline.lens_blur_px, blur, 0.15) << blur;
+  }
 }
 
 TEST(SphereOutline, AnArmBeforeTheLimbDoesNotMoveIt) {
