@@ -9,10 +9,10 @@
 #include <cmath>
 #include <future>
 #include <limits>
-#include <opencv2/imgcodecs.hpp>
 
 #include "libbrdf/error.h"
 #include "libcalib/drift_session.h"
+#include "libcalib/pixel_mask.h"
 
 namespace lacquer::calib {
 
@@ -20,15 +20,6 @@ namespace {
 
 /// Pixels handled at a time: large enough to keep all threads busy, small enough that the samples stay in the cache.
 constexpr std::size_t chunk_pixels = 1 << 14;
-
-cv::Mat read_mask(const std::filesystem::path& file, int width, int height) {
-  const cv::Mat mask = cv::imread(file.string(), cv::IMREAD_GRAYSCALE);
-  if (mask.empty()) throw Error(ErrorCode::file, fmt::format("{}: mask: cannot be read as an image", file.string()));
-  if (mask.cols != width || mask.rows != height)
-    throw Error(ErrorCode::file, fmt::format("{}: mask: expected {}x{} pixels as the camera has, got {}x{}", file.string(), width, height,
-                                             mask.cols, mask.rows));
-  return mask;
-}
 
 /// Lens blur and mixed pixels spoil a band along the silhouette: all points at `edge_px` around the pixel must hit the sphere.
 bool inside_silhouette(const acquire::RigGeometry& rig, const glm::dvec2& pixel, double edge_px) {
@@ -168,8 +159,7 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
   options_.validate();
   const auto& rig = calibration_.geometry;
   const int width = rig.camera.width, height = rig.camera.height;
-  cv::Mat mask_image;
-  if (mask.file) mask_image = read_mask(*mask.file, width, height);
+  const std::vector<std::uint8_t> paint = paint_mask(mask, rig);
 
   const acquire::RigidTransform rig_from_cam = rig.cam_from_rig.inverse();
   camera_ = central() ? rig_from_cam * glm::dvec3(0) : rig_from_cam.rotation * glm::dvec3(0, 0, -1);
@@ -191,7 +181,7 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
       if (!point) continue;
       const double cos_o = glm::dot(point->normal, point->wo);
       const auto step = steps.at(x);
-      if ((!mask_image.empty() && mask_image.at<unsigned char>(y, x) == 0) || (mask.min_y && point->position.y < *mask.min_y) ||
+      if (paint[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)] == 0 ||
           cos_o < options_.min_cosine || !(well_inside(cos_o, step, options_.edge_px) || inside_silhouette(rig, pixel, options_.edge_px))) {
         ++masked[static_cast<std::size_t>(y)];
         continue;
