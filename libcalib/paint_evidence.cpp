@@ -13,13 +13,11 @@
 #include "libbrdf/error.h"
 #include "libcalib/paint_spline.h"
 #include "libcalib/response_algebra.h"
-#include "libcalib/samples.h"
 
 namespace lacquer::calib {
 
 namespace {
 
-constexpr std::uint32_t tiles_across = 8;  // of an image
 constexpr double highest_theta_h = 1.25, highest_theta_d = 1.25;
 
 /// A view at some geometry.
@@ -369,7 +367,7 @@ class Evidence {
   /// Sum over tiles of the views of s s', s the tile's sum of w r (d - what the paint takes of it); and what a wrong angle adds, which all
   /// tiles of a view share.
   SymmetricMatrix scatter_of_tiles(const Columns& taken, const std::vector<double>& paint_step, const std::vector<double>& step) const {
-    const std::size_t n = n_columns(), n_tiles = views_.size() * tiles_across * tiles_across;
+    const std::size_t n = n_columns(), n_tiles = views_.size() * paint_tiles_across * paint_tiles_across;
     std::vector<Columns> scores(n_pieces), turns(n_pieces);
     each_piece([&](std::size_t p, std::size_t first, std::size_t last) {
       scores[p].assign(n_tiles, {});
@@ -386,7 +384,7 @@ class Evidence {
           for (std::size_t k = 0; k < PaintSpline::n_met; ++k) d[c] -= b.value[k] * taken[c][b.index[k]];
           r -= d[c] * step[c];
         }
-        std::vector<double>& score = scores[p][samples_[i].view * tiles_across * tiles_across + samples_[i].tile];
+        std::vector<double>& score = scores[p][samples_[i].view * paint_tiles_across * paint_tiles_across + samples_[i].tile];
         if (score.empty()) score.assign(n, 0.0);
         const Motion& turn = turn_[samples_[i].view];
         const double by_angle = glm::dot(slope_[i].by_light, turn.light) + glm::dot(axis_slope(i), turn.axis);
@@ -533,70 +531,6 @@ void PaintOptions::validate() const {
   if (!(min_cosine > 0 && min_cosine < 1)) throw Error(ErrorCode::usage, "min_cosine: expected a number in (0, 1)");
   for (const double s : {aim_rad, falloff, vignetting, light_scale})
     if (!(s > 0 && std::isfinite(s))) throw Error(ErrorCode::usage, "priors of the light's pattern: expected numbers > 0");
-}
-
-PaintBlocks paint_blocks(const acquire::RigGeometry& g, std::size_t n_views) {
-  constexpr double wanted = 100000, usable = 0.4, per_radius = 54;
-  const double radius = g.camera.focal.x * g.sphere_radius / g.cam_from_rig.translation.z;
-  PaintBlocks b;
-  b.block = 2 * std::max(1, static_cast<int>(std::lround(radius / per_radius / 2)));
-  const double apart = std::sqrt(3.14159265358979323846 * radius * radius * usable * static_cast<double>(n_views) / wanted);
-  b.stride = std::max(b.block, 2 * static_cast<int>(std::lround(apart / 2)));
-  return b;
-}
-
-void add_paint_samples(const RadianceImage& image, const Calibration& calibration, std::uint32_t view, const PaintBlocks& blocks, std::vector<PaintSample>& samples) {
-  constexpr double noisy = 0.05;  // relative: beyond it the logarithm of a mean is no longer the mean of the logarithm
-  const acquire::RigGeometry& g = calibration.geometry;
-  const int per_pixel = acquire::values_per_pixel(image.layout);
-  const bool colour = image.layout != acquire::PixelLayout::mono;
-  const double corner2 = std::pow(std::max(g.camera.centre.x + 0.5, g.camera.width - 0.5 - g.camera.centre.x), 2) +
-                         std::pow(std::max(g.camera.centre.y + 0.5, g.camera.height - 0.5 - g.camera.centre.y), 2);
-  const int block = blocks.block;
-  // Another part of the grid in each view.
-  const int first = 2 * (static_cast<int>(view) * 7 % std::max(1, blocks.stride / 2));
-  for (int row = first; row + block <= image.height; row += blocks.stride)
-    for (int column = (first * 3) % blocks.stride; column + block <= image.width; column += blocks.stride) {
-      const glm::dvec2 middle = glm::dvec2(column, row) + 0.5 * (block - 1);
-      const auto point = acquire::trace(g, middle);
-      if (!point || glm::dot(point->normal, point->wo) < 0.2) continue;
-      glm::dvec2 place(0.0);
-      double n = 0, sum = 0, variances = 0;
-      bool whole = true;
-      for (int y = row; y < row + block && whole; ++y)
-        for (int x = column; x < column + block; ++x) {
-          const int k = per_pixel > 1 ? 1 : 0;
-          if (colour && acquire::channel_of(image.layout, x, y, k) != 1) continue;
-          const auto i = static_cast<std::size_t>((static_cast<std::ptrdiff_t>(y) * image.width + x) * per_pixel + k);
-          const double value = image.radiance[i], relative = image.variance[i] / (value * value);
-          if (image.flags[i] == PixelFlag::invalid) continue;
-          // A block without its darkest or its brightest values is not its mean.
-          if (image.flags[i] != PixelFlag::valid || !(value > 0) || !(relative < noisy * noisy)) {
-            whole = false;
-            break;
-          }
-          place += glm::dvec2(x, y);
-          sum += std::log(value / lens_transmission(calibration, {x, y})) + relative / 2;  // of the mean, not the mean of logarithms
-          variances += relative;
-          ++n;
-        }
-      if (!whole || 2 * n < block * block * (colour && per_pixel == 1 ? 0.5 : 1.0)) continue;  // half of them at least
-      place /= n;
-      const double reach = std::sqrt(blocks.variance());
-      const auto ray = g.camera.unproject(place), right = g.camera.unproject(place + glm::dvec2(reach, 0)), below = g.camera.unproject(place + glm::dvec2(0, reach));
-      if (!ray || !right || !below) continue;
-      const glm::dvec2 offset = middle - g.camera.centre;
-      PaintSample s;
-      s.view = view;
-      s.tile = static_cast<std::uint32_t>(row) * tiles_across / static_cast<std::uint32_t>(image.height) * tiles_across +
-               static_cast<std::uint32_t>(column) * tiles_across / static_cast<std::uint32_t>(image.width);
-      s.sight = ray->direction;
-      s.spread = {right->direction - ray->direction, below->direction - ray->direction};
-      s.variance = variances / (n * n);
-      s.log_radiance = sum / n;
-      s.corner2 = glm::dot(offset, offset) / corner2;
-      samples.push_back(s);
-    }
 }
 
 PaintEvidence paint_evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns,

@@ -1,33 +1,15 @@
 #pragma once
 
-#include <array>
 #include <cstddef>
-#include <cstdint>
-#include <glm/vec2.hpp>
-#include <glm/vec3.hpp>
 #include <vector>
 
-#include "libacquire/frame.h"
-#include "libacquire/rig_geometry.h"
-#include "libcalib/calibration.h"
 #include "libcalib/geometry_unknowns.h"
 #include "libcalib/geometry_solver.h"
-#include "libcalib/radiance_image.h"
+#include "libcalib/paint_samples.h"
 
 /// What the light on the paint says of the geometry: the same half and difference angles occur at many places of the sphere and in many
 /// views, and wherever they do the paint is the same. docs/geometry.md has the equations.
 namespace lacquer::calib {
-
-/// Mean of some pixels of a view. Only green values of a mosaic are used: the paint is needed for one colour only.
-struct PaintSample {
-  std::uint32_t view = 0;
-  std::uint32_t tile = 0;      ///< of the image: samples of a tile and view share errors
-  glm::dvec3 sight{0, 0, 1};   ///< line of sight in the camera frame, unit
-  std::array<glm::dvec3, 2> spread{};  ///< how far the pixels' lines of sight reach from it: RMS in the image's x, in its y
-  double log_radiance = 0;     ///< lens' transmission taken out
-  double variance = 0;         ///< of log_radiance
-  double corner2 = 0;          ///< squared distance from the principal point, of the image's corner's
-};
 
 /// How a view of the samples was lit.
 struct PaintView {
@@ -35,17 +17,6 @@ struct PaintView {
   double turntable_angle = 0;   ///< radians, read back
   double factor = 1;            ///< on the light's intensity: its drift
 };
-
-/// Which pixels become samples: blocks of `block` x `block` pixels, one every `stride` pixels.
-struct PaintBlocks {
-  int block = 2, stride = 2;
-  double variance() const { return (block * block - 1) / 12.0; }  ///< of a pixel's place in its block, pixels^2 per axis
-};
-/// Blocks of about a degree of the sphere, as many as give some 100 000 samples in all views together.
-PaintBlocks paint_blocks(const acquire::RigGeometry& geometry, std::size_t n_views);
-
-/// Means over blocks of pixels, each at the mean place of the values that it has.
-void add_paint_samples(const RadianceImage& image, const Calibration& calibration, std::uint32_t view, const PaintBlocks& blocks, std::vector<PaintSample>& samples);
 
 struct PaintOptions {
   double lowest_theta_h = 0.12;  ///< radians: nearer to the peak nothing is used, it is the highlights' matter

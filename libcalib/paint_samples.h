@@ -1,0 +1,37 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <glm/vec3.hpp>
+#include <vector>
+
+#include "libcalib/calibration.h"
+#include "libcalib/radiance_image.h"
+
+namespace lacquer::calib {
+
+constexpr std::uint32_t paint_tiles_across = 8;  ///< of an image
+
+/// Mean of some pixels of a view. Only green values of a mosaic are used: the paint is needed for one colour only.
+struct PaintSample {
+  std::uint32_t view = 0;
+  std::uint32_t tile = 0;      ///< of the image: samples of a tile and view share errors
+  glm::dvec3 sight{0, 0, 1};   ///< line of sight in the camera frame, unit
+  std::array<glm::dvec3, 2> spread{};  ///< how far the pixels' lines of sight reach from it: RMS in the image's x, in its y
+  double log_radiance = 0;     ///< lens' transmission taken out
+  double variance = 0;         ///< of log_radiance
+  double corner2 = 0;          ///< squared distance from the principal point, of the image's corner's
+};
+
+/// Which pixels become samples: blocks of `block` x `block` pixels, one every `stride` pixels.
+struct PaintBlocks {
+  int block = 2, stride = 2;
+  double variance() const { return (block * block - 1) / 12.0; }  ///< of a pixel's place in its block, pixels^2 per axis
+};
+/// Blocks of about a degree of the sphere, as many as give some 100 000 samples in all views together.
+PaintBlocks paint_blocks(const acquire::RigGeometry& geometry, std::size_t n_views);
+
+/// Means over blocks of pixels, each at the mean place of the values that it has.
+void add_paint_samples(const RadianceImage& image, const Calibration& calibration, std::uint32_t view, const PaintBlocks& blocks, std::vector<PaintSample>& samples);
+
+}  // namespace lacquer::calib
