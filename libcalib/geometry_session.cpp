@@ -35,6 +35,7 @@ Crop crop(const RadianceImage& image, const glm::dvec2& centre, double half_px) 
   c.image.layout = image.layout;
   c.image.width = std::clamp(static_cast<int>(std::ceil(centre.x + half_px)) - c.corner.x, 0, std::max(0, image.width - c.corner.x));
   c.image.height = std::clamp(static_cast<int>(std::ceil(centre.y + half_px)) - c.corner.y, 0, std::max(0, image.height - c.corner.y));
+  if (c.image.width == 0 || c.image.height == 0) return {};
   const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(image.layout)), row = static_cast<std::size_t>(c.image.width) * per_pixel;
   const auto copy = [&](const auto& from, auto& to) {
     to.reserve(row * static_cast<std::size_t>(c.image.height));
@@ -151,11 +152,18 @@ class Estimator {
     trial_.turntable_scale = result_.estimate.turntable_scale;
   }
 
-  /// Units of the priors, as GeometryUnknowns has them; all 0 before anything was solved.
-  std::vector<double> solution(std::size_t n) const {
+  static const GeometryParameter* named(const std::vector<GeometryParameter>& parameters, const std::string& name) {
+    const auto at = std::find_if(parameters.begin(), parameters.end(), [&](const GeometryParameter& p) { return p.name == name; });
+    return at == parameters.end() ? nullptr : &*at;
+  }
+
+  /// In units of the priors; 0 what was not solved for before, as the place of a light without a highlight.
+  std::vector<double> solution(const GeometryUnknowns& unknowns) const {
     std::vector<double> x;
-    for (const GeometryParameter& p : result_.estimate.uncertainty.parameters) x.push_back(p.correction / p.prior_sigma);
-    x.resize(n);
+    for (const GeometryParameter& u : unknowns.parameters()) {
+      const GeometryParameter* const p = named(result_.estimate.uncertainty.parameters, u.name);
+      x.push_back(p != nullptr ? p->correction / p->prior_sigma : 0);
+    }
     return x;
   }
 
@@ -177,7 +185,7 @@ class Estimator {
     }
     constexpr int max_rounds = 12;
     for (int round = 0; round < max_rounds && !samples_.empty(); ++round) {
-      const std::vector<double> x = solution(unknowns.size());
+      const std::vector<double> x = solution(unknowns);
       paint.angle_rad = result_.estimate.angle_sigma_rad;
       const PaintEvidence found = paint_evidence(samples_, lit, unknowns, x, paint);
       if (found.n_samples == 0) return;
@@ -185,7 +193,7 @@ class Estimator {
       result_.paint.n_samples = found.n_samples;
       result_.paint.scatter = found.scatter;
       double largest = 0;
-      const std::vector<double> now = solution(unknowns.size());
+      const std::vector<double> now = solution(unknowns);
       for (std::size_t k = 0; k < now.size(); ++k) {
         const GeometryParameter& p = result_.estimate.uncertainty.parameters[k];
         largest = std::max(largest, std::abs(now[k] - x[k]) * p.prior_sigma / p.sigma);
@@ -194,11 +202,8 @@ class Estimator {
       // Noise is measured by medians, which may keep a last step from dying away.
       if (largest < 0.1 || (round >= 4 && largest < 1)) break;
     }
-    for (std::size_t k = 0; k < before.uncertainty.parameters.size() && result_.paint.n_samples > 0; ++k) {
-      const GeometryParameter& p = before.uncertainty.parameters[k];
-      GeometryParameter& q = result_.estimate.uncertainty.parameters[k];
-      q.paint_shift = (q.correction - p.correction) / p.sigma;
-    }
+    for (GeometryParameter& q : result_.estimate.uncertainty.parameters)
+      if (const GeometryParameter* const p = named(before.uncertainty.parameters, q.name)) q.paint_shift = (q.correction - p->correction) / p->sigma;
     result_.paint.distance_sigma_before = before.distance_sigma;
     result_.paint.half_vector_sigma_before = before.half_vector_sigma_rad;
   }

@@ -122,6 +122,9 @@ void check_input(const acquire::RigGeometry& g, const std::vector<EdgePoint>& ed
   if (edges.empty() && highlights.empty() && evidence.rows.empty()) throw Error(ErrorCode::input, "geometry: neither silhouette nor highlights, expected at least one of them");
   for (const EdgePoint& e : edges)
     if (!(e.sigma > 0) || !std::isfinite(e.pixel.x + e.pixel.y + e.sigma)) throw Error(ErrorCode::input, "geometry: edge point: expected finite numbers, sigma > 0");
+  for (const GeometryEvidence::View& view : evidence.views)
+    if (view.light >= g.lights.size() || g.lights[view.light].distant)
+      throw Error(ErrorCode::input, fmt::format("light {}: expected a near light of the rig; only near lights can be estimated, keep the rig file's (--from-rig)", view.light + 1));
   for (const Highlight& h : highlights) {
     if (h.light >= g.lights.size()) throw Error(ErrorCode::input, fmt::format("view {}: light: expected an index below {}", h.view, g.lights.size()));
     if (g.lights[h.light].distant)

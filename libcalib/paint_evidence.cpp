@@ -11,6 +11,7 @@
 #include <optional>
 
 #include "libbrdf/error.h"
+#include "libcalib/paint_scene.h"
 #include "libcalib/paint_spline.h"
 #include "libcalib/response_algebra.h"
 
@@ -19,95 +20,6 @@ namespace lacquer::calib {
 namespace {
 
 constexpr double highest_theta_h = 1.25, highest_theta_d = 1.25;
-
-/// A view at some geometry.
-struct Scene {
-  glm::dvec3 light, axis;  ///< rig frame; axis: unit, from the light towards where it is aimed
-  double falloff = 0;
-  double log_factor = 0;
-};
-
-/// Camera and sphere at some geometry.
-struct Sphere {
-  glm::dmat3 rig_from_cam;
-  glm::dvec3 translation;  ///< of the sphere's centre, camera frame
-  double radius;
-};
-
-struct Seen {
-  double log_irradiance;  ///< per intensity
-  brdf::HalfDiff coordinates;
-  glm::dvec3 wi;
-  double cos_i, cos_o;
-};
-
-std::optional<Seen> see(const Sphere& sphere, const Scene& scene, const glm::dvec3& sight) {
-  const double along = glm::dot(sphere.translation, sight);
-  const glm::dvec3 nearest = along * sight - sphere.translation;
-  const double half_chord2 = sphere.radius * sphere.radius - glm::dot(nearest, nearest);
-  if (!(half_chord2 > 0)) return std::nullopt;
-  const glm::dvec3 position = sphere.rig_from_cam * (nearest - std::sqrt(half_chord2) * sight), normal = position / sphere.radius;
-  const glm::dvec3 wo = -(sphere.rig_from_cam * sight), to_light = scene.light - position;
-  const double distance2 = glm::dot(to_light, to_light);
-  Seen s;
-  s.wi = to_light / std::sqrt(distance2);
-  s.cos_i = glm::dot(normal, s.wi);
-  s.cos_o = glm::dot(normal, wo);
-  const double off_axis = -glm::dot(s.wi, scene.axis);
-  if (!(s.cos_i > 0 && s.cos_o > 0 && off_axis > 0)) return std::nullopt;
-  s.log_irradiance = std::log(s.cos_i / distance2) + scene.falloff * std::log(off_axis) + scene.log_factor;
-  s.coordinates = brdf::half_diff({acquire::to_shading_frame({position, normal, wo}, s.wi).wi, acquire::to_shading_frame({position, normal, wo}, wo).wi});
-  return s;
-}
-
-/// How scene and sphere move with an unknown, by unit of it.
-struct Motion {
-  glm::dvec3 light, axis;
-};
-
-std::vector<Scene> scenes_of(const acquire::RigGeometry& g, double scale, const std::vector<PaintView>& views) {
-  std::vector<Scene> scenes;
-  for (const PaintView& v : views) {
-    const acquire::PlacedLight placed = g.place_light(v.light, scale * v.turntable_angle);
-    scenes.push_back({placed.position, placed.axis, placed.falloff_exponent, std::log(v.factor)});
-  }
-  return scenes;
-}
-
-/// Columns beyond the geometry's: what else shapes the pattern of the light.
-struct Nuisances {
-  struct Column {
-    enum class Kind { vignetting, falloff, aim_a, aim_b, scale } kind;
-    std::size_t light;
-    double sigma;
-  };
-  std::vector<Column> columns;
-
-  Nuisances(const acquire::RigGeometry& g, const std::vector<PaintView>& views, const PaintOptions& o) {
-    columns.push_back({Column::Kind::vignetting, 0, o.vignetting});
-    bool first = true;
-    for (std::size_t i = 0; i < g.lights.size(); ++i) {
-      if (std::none_of(views.begin(), views.end(), [&](const PaintView& v) { return v.light == i; })) continue;
-      if (!first) columns.push_back({Column::Kind::scale, i, o.light_scale});
-      first = false;
-      if (!(g.lights[i].falloff_exponent > 0)) continue;
-      columns.push_back({Column::Kind::falloff, i, o.falloff * g.lights[i].falloff_exponent});
-      columns.push_back({Column::Kind::aim_a, i, o.aim_rad});
-      columns.push_back({Column::Kind::aim_b, i, o.aim_rad});
-    }
-  }
-  /// Derivative of the logarithm of what a sample sees.
-  double derivative(const Column& c, const PaintSample& sample, const PaintView& view, const Scene& scene, const Seen& seen) const {
-    if (c.kind == Column::Kind::vignetting) return -sample.corner2;
-    if (c.light != view.light) return 0;
-    const double off_axis = -glm::dot(seen.wi, scene.axis);
-    if (c.kind == Column::Kind::scale) return 1;
-    if (c.kind == Column::Kind::falloff) return std::log(off_axis);
-    // The aim is rigid on the arm: in axes that turn with it, one along the arm's plane as far as the camera's x tells.
-    const glm::dvec3 a = glm::normalize(glm::cross(std::abs(scene.axis.y) < 0.9 ? glm::dvec3(0, 1, 0) : glm::dvec3(1, 0, 0), scene.axis)), b = glm::cross(scene.axis, a);
-    return scene.falloff * -glm::dot(seen.wi, c.kind == Column::Kind::aim_a ? a : b) / off_axis;
-  }
-};
 
 using Columns = std::vector<std::vector<double>>;
 
@@ -141,7 +53,7 @@ class Evidence {
       std::vector<PaintView> up = views, down = views;
       for (PaintView& v : up) v.turntable_angle += step;
       for (PaintView& v : down) v.turntable_angle -= step;
-      const std::vector<Scene> s = scenes_of(geometry_, unknowns.turntable_scale(x), up), t = scenes_of(geometry_, unknowns.turntable_scale(x), down);
+      const std::vector<PaintScene> s = scenes_of(geometry_, unknowns.turntable_scale(x), up), t = scenes_of(geometry_, unknowns.turntable_scale(x), down);
       for (std::size_t v = 0; v < views.size(); ++v) turn_.push_back({(s[v].light - t[v].light) / (2 * step), (s[v].axis - t[v].axis) / (2 * step)});
     }
     for (std::size_t k = 0; k < n_unknowns_; ++k) {
@@ -149,7 +61,7 @@ class Evidence {
       up[k] += step;
       down[k] -= step;
       const acquire::RigGeometry a = unknowns.geometry(up), b = unknowns.geometry(down);
-      const std::vector<Scene> s = scenes_of(a, unknowns.turntable_scale(up), views), t = scenes_of(b, unknowns.turntable_scale(down), views);
+      const std::vector<PaintScene> s = scenes_of(a, unknowns.turntable_scale(up), views), t = scenes_of(b, unknowns.turntable_scale(down), views);
       sphere_motion_.push_back((a.cam_from_rig.translation - b.cam_from_rig.translation) / (2 * step));
       motion_.emplace_back();
       for (std::size_t v = 0; v < views.size(); ++v) motion_.back().push_back({(s[v].light - t[v].light) / (2 * step), (s[v].axis - t[v].axis) / (2 * step)});
@@ -186,7 +98,7 @@ class Evidence {
     glm::dvec3 by_light, by_sphere;
   };
 
-  std::optional<Seen> usable(std::size_t i) const {
+  std::optional<SeenPaint> usable(std::size_t i) const {
     const auto seen = see(sphere_, scenes_[samples_[i].view], samples_[i].sight);
     if (!seen || seen->cos_i < options_.min_cosine || seen->cos_o < options_.min_cosine || !spline_.contains(seen->coordinates)) return std::nullopt;
     return seen;
@@ -216,7 +128,7 @@ class Evidence {
     each_piece([&](std::size_t p, std::size_t first, std::size_t last) {
       for (std::size_t i = first; i < last; ++i) {
         if (!(weight_[i] > 0)) continue;
-        const Seen& seen = seen_[i];
+        const SeenPaint& seen = seen_[i];
         const PaintSpline::Basis b = spline_.at(seen.coordinates);
         const double y = weight_[i] * (samples_[i].log_radiance - seen.log_irradiance - bend_[i]);
         sums[p].paint.add(b, weight_[i]);
@@ -235,7 +147,7 @@ class Evidence {
     each_piece([&](std::size_t, std::size_t first, std::size_t last) {
       for (std::size_t i = first; i < last; ++i) {
         if (!(weight_[i] > 0)) continue;
-        const Seen& seen = seen_[i];
+        const SeenPaint& seen = seen_[i];
         residual_[i] = samples_[i].log_radiance - seen.log_irradiance - paint_at(seen.coordinates) - bend_[i];
       }
     });
@@ -291,20 +203,20 @@ class Evidence {
 
   Slope slope_at(std::size_t i) const {
     const PaintSample& sample = samples_[i];
-    const Seen& seen = seen_[i];
-    const Scene& scene = scenes_[sample.view];
+    const SeenPaint& seen = seen_[i];
+    const PaintScene& scene = scenes_[sample.view];
     const double step = 1e-5 * sphere_.radius;
-    const auto level = [&](const Sphere& sphere, const Scene& moved) {
+    const auto level = [&](const PaintSphere& sphere, const PaintScene& moved) {
       const auto s = see(sphere, moved, sample.sight);
       return s ? s->log_irradiance + paint_at(s->coordinates) : seen.log_irradiance + paint_at(seen.coordinates);
     };
     Slope slope;
     for (int k = 0; k < 3; ++k) {
-      Scene up = scene, down = scene;
+      PaintScene up = scene, down = scene;
       up.light[k] += step;
       down.light[k] -= step;
       slope.by_light[k] = (level(sphere_, up) - level(sphere_, down)) / (2 * step);
-      Sphere right = sphere_, left = sphere_;
+      PaintSphere right = sphere_, left = sphere_;
       right.translation[k] += step;
       left.translation[k] -= step;
       slope.by_sphere[k] = (level(right, scene) - level(left, scene)) / (2 * step);
@@ -313,18 +225,18 @@ class Evidence {
   }
 
   glm::dvec3 axis_slope(std::size_t i) const {
-    const Scene& scene = scenes_[samples_[i].view];
+    const PaintScene& scene = scenes_[samples_[i].view];
     return scene.falloff * seen_[i].wi / glm::dot(seen_[i].wi, scene.axis);
   }
 
   /// Derivatives of ln(radiance) by all columns, at a sample.
   void derivatives(std::size_t i, std::vector<double>& d) const {
     const PaintSample& sample = samples_[i];
-    const Seen& seen = seen_[i];
-    const Scene& scene = scenes_[sample.view];
+    const SeenPaint& seen = seen_[i];
+    const PaintScene& scene = scenes_[sample.view];
     const glm::dvec3 by_axis = axis_slope(i);
     for (std::size_t k = 0; k < n_unknowns_; ++k) {
-      const Motion& m = motion_[k][sample.view];
+      const PaintMotion& m = motion_[k][sample.view];
       d[k] = glm::dot(slope_[i].by_light, m.light) + glm::dot(by_axis, m.axis) + glm::dot(slope_[i].by_sphere, sphere_motion_[k]);
     }
     for (std::size_t k = 0; k < nuisances_.columns.size(); ++k)
@@ -342,7 +254,7 @@ class Evidence {
       for (std::size_t i = first; i < last; ++i) {
         const double w = weight_[i];
         if (!(w > 0)) continue;
-        const Seen& seen = seen_[i];
+        const SeenPaint& seen = seen_[i];
         const PaintSpline::Basis b = spline_.at(seen.coordinates);
         slope_[i] = slope_at(i);
         derivatives(i, d);
@@ -375,7 +287,7 @@ class Evidence {
       std::vector<double> d(n);
       for (std::size_t i = first; i < last; ++i) {
         if (!(weight_[i] > 0)) continue;
-        const Seen& seen = seen_[i];
+        const SeenPaint& seen = seen_[i];
         const PaintSpline::Basis b = spline_.at(seen.coordinates);
         derivatives(i, d);
         double r = residual_[i];
@@ -386,7 +298,7 @@ class Evidence {
         }
         std::vector<double>& score = scores[p][samples_[i].view * paint_tiles_across * paint_tiles_across + samples_[i].tile];
         if (score.empty()) score.assign(n, 0.0);
-        const Motion& turn = turn_[samples_[i].view];
+        const PaintMotion& turn = turn_[samples_[i].view];
         const double by_angle = glm::dot(slope_[i].by_light, turn.light) + glm::dot(axis_slope(i), turn.axis);
         for (std::size_t c = 0; c < n; ++c) {
           score[c] += weight_[i] * r * d[c];
@@ -510,16 +422,16 @@ class Evidence {
   acquire::RigGeometry geometry_;
   std::vector<double> x_;
   std::size_t n_unknowns_, n_used_ = 0;
-  Sphere sphere_;
-  std::vector<Scene> scenes_;
-  Nuisances nuisances_;
-  std::vector<std::vector<Motion>> motion_;  ///< by unknown and view
-  std::vector<Motion> turn_;                 ///< by view, per radian of the turntable
+  PaintSphere sphere_;
+  std::vector<PaintScene> scenes_;
+  PaintNuisances nuisances_;
+  std::vector<std::vector<PaintMotion>> motion_;  ///< by unknown and view
+  std::vector<PaintMotion> turn_;                 ///< by view, per radian of the turntable
   std::vector<glm::dvec3> sphere_motion_;
   PaintSpline spline_;
   double scatter_ = 0.01;  ///< to begin with
   std::vector<double> weight_, residual_, bend_;
-  std::vector<Seen> seen_;
+  std::vector<SeenPaint> seen_;
   std::vector<Slope> slope_;
   std::vector<double> coefficients_;
 };

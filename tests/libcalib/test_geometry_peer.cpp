@@ -7,28 +7,13 @@
 
 #include "libcalib/geometry_residuals.h"
 #include "libcalib/geometry_unknowns.h"
+#include "libcalib/quick_rig.h"
 
 /// The geometry's solver beside Ceres, which gets the same residuals and nothing else: derivatives by its own differences, its own steps.
 namespace lacquer::calib {
 namespace {
 
 constexpr double degree = 3.14159265358979323846 / 180;
-
-acquire::RigGeometry nominal_rig() {
-  acquire::RigGeometry g;
-  g.camera.width = 480;
-  g.camera.height = 360;
-  g.camera.focal = glm::dvec2(3055);
-  g.camera.centre = {239.5, 179.5};
-  g.camera.distortion = {-0.2, 0.5, 2e-4, -1e-4, 0, 0, 0, 0};
-  g.cam_from_rig = acquire::look_at({0, 0, 1}, {0, 0, 0}, {0, 1, 0});
-  for (const glm::dvec3& place : {glm::dvec3(0, 0.124747, 0.586889), glm::dvec3(0, -0.2, 0.55)}) {
-    acquire::Light light;
-    light.position = place;
-    g.lights.push_back(light);
-  }
-  return g;
-}
 
 struct Residuals {
   const GeometryResiduals* residuals;
@@ -41,7 +26,7 @@ struct Residuals {
 };
 
 TEST(GeometrySolver, CeresFindsTheSameMinimum) {
-  const acquire::RigGeometry nominal = nominal_rig();
+  const acquire::RigGeometry nominal = test::quick_rig(2);
   std::mt19937_64 random(11);
   std::normal_distribution<double> normal;
   const auto draw = [&](double sigma) { return sigma * normal(random); };

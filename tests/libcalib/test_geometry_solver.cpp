@@ -7,29 +7,12 @@
 
 #include "libbrdf/error.h"
 #include "libcalib/geometry_solver.h"
+#include "libcalib/quick_rig.h"
 
 namespace lacquer::calib {
 namespace {
 
 constexpr double degree = 3.14159265358979323846 / 180;
-
-/// The quick rig: 480 x 360 pixels, sphere of 153 px, one LED 0.6 m away, 12 degrees up; `pixels`: that many times as fine.
-acquire::RigGeometry nominal_rig(int n_lights = 1, double pixels = 1) {
-  acquire::RigGeometry g;
-  g.camera.width = static_cast<int>(480 * pixels);
-  g.camera.height = static_cast<int>(360 * pixels);
-  g.camera.focal = glm::dvec2(3055 * pixels);
-  g.camera.centre = glm::dvec2(240, 180) * pixels - 0.5;
-  g.camera.distortion = {-0.2, 0.5, 2e-4, -1e-4, 0, 0, 0, 0};
-  g.cam_from_rig = acquire::look_at({0, 0, 1}, {0, 0, 0}, {0, 1, 0});
-  const glm::dvec3 places[] = {{0, 0.124747, 0.586889}, {0, -0.2, 0.55}, {0, 0.35, 0.48}};
-  for (int i = 0; i < n_lights; ++i) {
-    acquire::Light light;
-    light.position = places[i];
-    g.lights.push_back(light);
-  }
-  return g;
-}
 
 struct Draw {
   std::mt19937_64 random;
@@ -119,7 +102,7 @@ Errors errors(const GeometryEstimate& e, const TrueRig& t) {
 }
 
 TEST(GeometrySolver, TheMirrorPixelObeysTheLawOfReflection) {
-  const auto g = nominal_rig();
+  const auto g = test::quick_rig();
   for (double a = -150; a <= 150; a += 7) {
     const glm::dvec3 light = g.place_light(0, a * degree).position;
     const auto pixel = mirror_pixel(g, light);
@@ -135,7 +118,7 @@ TEST(GeometrySolver, TheMirrorPixelObeysTheLawOfReflection) {
 }
 
 TEST(GeometrySolver, TheSilhouetteDistanceIsThatOfTheTracedSphere) {
-  auto g = nominal_rig();
+  auto g = test::quick_rig();
   g.cam_from_rig.translation += glm::dvec3(0.01, -0.02, 0.05);
   Draw draw(1);
   for (const EdgePoint& e : edges_of(g, 1e-12, 0, 360 * degree, 50, draw)) EXPECT_NEAR(*silhouette_distance(g, e.pixel), 0, 1e-6);
@@ -145,7 +128,7 @@ TEST(GeometrySolver, TheSilhouetteDistanceIsThatOfTheTracedSphere) {
 }
 
 TEST(GeometrySolver, WithoutNoiseABadlyBuiltRigIsFoundExactly) {
-  const auto nominal = nominal_rig();
+  const auto nominal = test::quick_rig();
   GeometryPriors priors;
   Draw draw(3);
   TrueRig t = built(nominal, priors, draw);
@@ -166,7 +149,7 @@ TEST(GeometrySolver, OverManyRigsTheErrorBarsHoldTheTruth) {
   double half = 0, light = 0, distance = 0, centre = 0, pull2 = 0;
   for (unsigned seed = 0; seed < n_rigs; ++seed) {
     Draw draw(seed + 100);
-    const auto nominal = nominal_rig(2, 2.84);
+    const auto nominal = test::quick_rig(2, 2.84);
     const TrueRig t = built(nominal, priors, draw);
     // Edges all off by the same, and more to one side, as priors say they may be, and on the lit part only.
     const double offset = draw(priors.edge_offset_px), side_x = draw(priors.edge_side_px), side_y = draw(priors.edge_side_px);
@@ -209,7 +192,7 @@ TEST(GeometrySolver, OverManyRigsTheErrorBarsHoldTheTruth) {
 }
 
 TEST(GeometrySolver, AFalseHighlightIsLeftOutAndNamed) {
-  const auto nominal = nominal_rig();
+  const auto nominal = test::quick_rig();
   Draw draw(5);
   const TrueRig t = built(nominal, {}, draw);
   auto highlights = highlights_of(t, 0.02, 0, 120, 5, draw);
@@ -226,7 +209,7 @@ TEST(GeometrySolver, AFalseHighlightIsLeftOutAndNamed) {
 }
 
 TEST(GeometrySolver, LargerNoiseThanStatedWidensTheErrorBars) {
-  const auto nominal = nominal_rig();
+  const auto nominal = test::quick_rig();
   Draw a(6), b(6);
   const TrueRig t = built(nominal, {}, a), same = built(nominal, {}, b);
   auto highlights = highlights_of(t, 0.1, 0, 120, 2, a);
@@ -244,7 +227,7 @@ bool mentions(const GeometryEstimate& e, const std::string& text) {
 }
 
 TEST(GeometrySolver, ATurntableThatMissesItsAnglesIsToldFromNoise) {
-  const auto nominal = nominal_rig();
+  const auto nominal = test::quick_rig();
   Draw draw(8);
   const TrueRig t = built(nominal, {}, draw);
   auto highlights = highlights_of(t, 0.004, 0, 130, 1, draw);
@@ -256,7 +239,7 @@ TEST(GeometrySolver, ATurntableThatMissesItsAnglesIsToldFromNoise) {
 }
 
 TEST(GeometrySolver, WhatTheImagesDoNotDetermineIsSaid) {
-  const auto nominal = nominal_rig(1, 2.84);
+  const auto nominal = test::quick_rig(1, 2.84);
   Draw draw(7);
   const TrueRig t = built(nominal, {}, draw);
   const auto edges = edges_of(t.geometry, 0.05, 0, 360 * degree, 90, draw);
@@ -278,7 +261,7 @@ TEST(GeometrySolver, WhatTheImagesDoNotDetermineIsSaid) {
 }
 
 TEST(GeometrySolver, ARadiusWrongByAPercentShowsAsASphereAtAnotherDistanceAndIsSaid) {
-  auto nominal = nominal_rig(1, 2.84);
+  auto nominal = test::quick_rig(1, 2.84);
   Draw draw(9);
   const TrueRig t{nominal, 1};
   nominal.sphere_radius *= 1.01;
@@ -291,7 +274,7 @@ TEST(GeometrySolver, ARadiusWrongByAPercentShowsAsASphereAtAnotherDistanceAndIsS
 }
 
 TEST(GeometrySolver, ALightWhoseHighlightIsNeverSeenKeepsItsPlaceAndIsSaid) {
-  const auto nominal = nominal_rig(2, 2.84);
+  const auto nominal = test::quick_rig(2, 2.84);
   Draw draw(10);
   const TrueRig t = built(nominal, {}, draw);
   auto highlights = highlights_of(t, 0.005, 0, 130, 3, draw);
@@ -303,7 +286,7 @@ TEST(GeometrySolver, ALightWhoseHighlightIsNeverSeenKeepsItsPlaceAndIsSaid) {
 
 /// Camera, light and the plane of its circle in one plane: all highlights on one line of the image.
 TEST(GeometrySolver, HighlightsOnOneLineLeaveErrorBarsThatHoldTheTruth) {
-  auto nominal = nominal_rig(1, 2.84);
+  auto nominal = test::quick_rig(1, 2.84);
   nominal.lights[0].position = {0, 0, 0.6};
   Draw draw(11);
   const TrueRig t = built(nominal, {}, draw);
@@ -316,7 +299,7 @@ TEST(GeometrySolver, HighlightsOnOneLineLeaveErrorBarsThatHoldTheTruth) {
 }
 
 TEST(GeometrySolver, EdgesThatAreWrongTogetherWidenTheErrorBars) {
-  const auto nominal = nominal_rig(1, 2.84);
+  const auto nominal = test::quick_rig(1, 2.84);
   Draw draw(12);
   const TrueRig t = built(nominal, {}, draw);
   auto edges = edges_of(t.geometry, 0.02, 0, 360 * degree, 120, draw);
@@ -330,7 +313,7 @@ TEST(GeometrySolver, EdgesThatAreWrongTogetherWidenTheErrorBars) {
 }
 
 TEST(GeometrySolver, TheAngleOfAViewIsKnownFromItsHighlight) {
-  const auto nominal = nominal_rig(1, 2.84);
+  const auto nominal = test::quick_rig(1, 2.84);
   Draw draw(13);
   const TrueRig t = built(nominal, {}, draw);
   auto highlights = highlights_of(t, 0.005, 0, 130, 2, draw);
@@ -351,7 +334,7 @@ TEST(GeometrySolver, TheAngleOfAViewIsKnownFromItsHighlight) {
 }
 
 TEST(GeometrySolver, BadInputIsRefused) {
-  auto rig = nominal_rig();
+  auto rig = test::quick_rig();
   EXPECT_THROW(solve_geometry(rig, {}, {}), Error);
   EXPECT_THROW(solve_geometry(rig, {{{100, 100}, 0}}, {}), Error) << "sigma 0";
   EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 3, 0, {200, 100}}}), Error) << "no such light";
@@ -359,7 +342,7 @@ TEST(GeometrySolver, BadInputIsRefused) {
   EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 0, 0, {200, 100}, 1, 2, 1}}), Error) << "no covariance";
   rig.lights[0].distant = true;
   EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 0, 0, {200, 100}}}), Error);
-  rig = nominal_rig();
+  rig = test::quick_rig();
   rig.camera.projection = acquire::CameraModel::Projection::orthographic;
   EXPECT_THROW(solve_geometry(rig, {{{100, 100}, 0.1}}, {}), Error);
 }

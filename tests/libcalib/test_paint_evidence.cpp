@@ -6,7 +6,10 @@
 #include <random>
 
 #include "libbrdf/brdf.h"
+#include "libbrdf/error.h"
+#include "libcalib/geometry_session.h"
 #include "libcalib/paint_evidence.h"
+#include "libcalib/quick_rig.h"
 #include "test_support.h"
 
 namespace lacquer::calib {
@@ -15,17 +18,8 @@ namespace {
 constexpr double degree = 3.14159265358979323846 / 180;
 
 acquire::RigGeometry nominal_rig() {
-  acquire::RigGeometry g;
-  g.camera.width = 480;
-  g.camera.height = 360;
-  g.camera.focal = glm::dvec2(3055);
-  g.camera.centre = {239.5, 179.5};
-  g.camera.distortion = {-0.2, 0.5, 2e-4, -1e-4, 0, 0, 0, 0};
-  g.cam_from_rig = acquire::look_at({0, 0, 1}, {0, 0, 0}, {0, 1, 0});
-  acquire::Light light;
-  light.position = {0, 0.124747, 0.586889};
-  light.falloff_exponent = 20;
-  g.lights = {light};
+  acquire::RigGeometry g = test::quick_rig();
+  g.lights[0].falloff_exponent = 20;
   return g;
 }
 
@@ -41,10 +35,35 @@ struct Photographs {
 };
 
 /// Every pixel on its own: trace, illuminate, the paint's value; nothing of what is under test.
+RadianceImage photograph(const acquire::RigGeometry& truth, const acquire::PlacedLight& light, const brdf::Brdf& paint, const Noise& noise, std::mt19937_64& random) {
+  std::normal_distribution<double> normal;
+  std::uniform_real_distribution<double> uniform;
+  RadianceImage image;
+  image.width = truth.camera.width;
+  image.height = truth.camera.height;
+  const std::size_t n = static_cast<std::size_t>(image.width * image.height);
+  image.radiance.assign(n, 0);
+  image.variance.assign(n, 1);
+  image.flags.assign(n, PixelFlag::valid);
+  for (int y = 0; y < image.height; ++y)
+    for (int x = 0; x < image.width; ++x) {
+      const auto point = acquire::trace(truth, {x, y});
+      const auto lit = point ? acquire::illuminate(light, *point) : std::nullopt;
+      if (!lit) continue;
+      const auto local = acquire::to_shading_frame(*point, lit->wi);
+      const auto f = paint.value({local.wi, local.wo}, {});
+      if (!f) continue;
+      const double clean = 1e4 * f->y * lit->irradiance.y * (uniform(random) < noise.dusty ? 0.3 : 1.0);
+      const auto i = static_cast<std::size_t>(y * image.width + x);
+      image.radiance[i] = static_cast<float>(clean * (1 + noise.relative * normal(random)));
+      image.variance[i] = static_cast<float>(std::pow(noise.relative * clean, 2));
+    }
+  return image;
+}
+
 Photographs photographs(const acquire::RigGeometry& truth, const brdf::Brdf& paint, const Noise& noise, unsigned seed) {
   std::mt19937_64 random(seed);
   std::normal_distribution<double> normal;
-  std::uniform_real_distribution<double> uniform;
   Calibration calibration;
   calibration.geometry = truth;
   Photographs p;
@@ -53,27 +72,7 @@ Photographs photographs(const acquire::RigGeometry& truth, const brdf::Brdf& pai
     const double angle = 12 * view * degree;
     p.views.push_back({0, angle, 1});
     const acquire::PlacedLight light = truth.place_light(0, angle + noise.angle_rad * normal(random));
-    RadianceImage image;
-    image.width = truth.camera.width;
-    image.height = truth.camera.height;
-    const std::size_t n = static_cast<std::size_t>(image.width * image.height);
-    image.radiance.assign(n, 0);
-    image.variance.assign(n, 1);
-    image.flags.assign(n, PixelFlag::valid);
-    for (int y = 0; y < image.height; ++y)
-      for (int x = 0; x < image.width; ++x) {
-        const auto point = acquire::trace(truth, {x, y});
-        const auto lit = point ? acquire::illuminate(light, *point) : std::nullopt;
-        if (!lit) continue;
-        const auto local = acquire::to_shading_frame(*point, lit->wi);
-        const auto f = paint.value({local.wi, local.wo}, {});
-        if (!f) continue;
-        const double clean = 1e4 * f->y * lit->irradiance.y * (uniform(random) < noise.dusty ? 0.3 : 1.0);
-        const auto i = static_cast<std::size_t>(y * image.width + x);
-        image.radiance[i] = static_cast<float>(clean * (1 + noise.relative * normal(random)));
-        image.variance[i] = static_cast<float>(std::pow(noise.relative * clean, 2));
-      }
-    add_paint_samples(image, calibration, static_cast<std::uint32_t>(view), blocks, p.samples);
+    add_paint_samples(photograph(truth, light, paint, noise, random), calibration, static_cast<std::uint32_t>(view), blocks, p.samples);
   }
   return p;
 }
@@ -161,6 +160,47 @@ TEST(PaintEvidence, DoesNotDependOnTheNumberOfThreads) {
     offsets.push_back(paint_evidence(p.samples, p.views, unknowns, std::vector<double>(unknowns.size()), {}).geometry.offset);
   }
   EXPECT_EQ(offsets[0], offsets[1]);
+}
+
+TEST(PaintEvidence, ALightWithoutAHighlightDoesNotDisturbTheOthers) {
+  acquire::RigGeometry truth = nominal_rig();
+  truth.lights.push_back(truth.lights[0]);
+  truth.lights[0].on_arm = false;
+  truth.lights[0].position = {0.25, 0.05, -0.54};  // 155 degrees from the camera: its highlight is at the silhouette
+  acquire::RigGeometry nominal = truth;
+  nominal.lights[1].position += glm::dvec3(0.004, -0.005, 0.008);
+  const std::shared_ptr<const brdf::Brdf> paint = brdf::load_brdf(test::source_dir() / "data-samples/paints/polaris-silber.json");
+  std::vector<GeometryView> views;
+  for (int k = 0; k < 15; ++k) {
+    const std::size_t light = k < 3 ? 0 : 1;
+    const double angle = 10 * k * degree;
+    views.push_back({"L" + std::to_string(k), light, angle, 1, [&truth, paint, light, angle, k] {
+                       std::mt19937_64 random(static_cast<unsigned>(k));
+                       return photograph(truth, truth.place_light(light, angle), *paint, {.relative = 0.01}, random);
+                     }});
+  }
+  Calibration calibration;
+  calibration.geometry = nominal;
+  const SessionGeometry found = estimate_geometry("test", nominal, {}, views, calibration, {}, {});
+  EXPECT_GT(found.paint.n_samples, 10000u);
+  for (const Highlight& h : found.highlights) EXPECT_EQ(h.light, 1u);
+  ASSERT_EQ(found.estimate.uncertainty.parameters.size(), 12u + 6u);
+  const glm::dvec3 moved = truth.lights[1].position - nominal.lights[1].position;
+  for (const GeometryParameter& p : found.estimate.uncertainty.parameters) {
+    if (p.name.starts_with("light 1")) EXPECT_EQ(p.paint_shift, 0) << p.name << " was not known before the paint";
+    if (!p.name.starts_with("light 2")) continue;
+    const double real = moved[p.name.back() - 'x'];
+    EXPECT_LT(std::abs(p.correction - real), 4 * p.sigma) << p.name << ' ' << p.correction << ' ' << real;
+    EXPECT_LT(p.sigma, 0.9 * p.prior_sigma) << p.name;
+  }
+}
+
+TEST(PaintEvidence, ADistantLightIsRefused) {
+  acquire::RigGeometry rig = nominal_rig();
+  rig.lights[0].distant = true;
+  GeometryEvidence evidence;
+  evidence.views = {{0, 0}};
+  EXPECT_THROW(solve_geometry(rig, {}, {}, {}, evidence), Error);
 }
 
 TEST(PaintEvidence, TooFewSamplesSayNothing) {
