@@ -9,6 +9,7 @@
 #include <optional>
 #include <string_view>
 
+#include "libacquire/lens_residuals.h"
 #include "libbrdf/file_error.h"
 #include "libbrdf/files.h"
 
@@ -18,6 +19,7 @@ namespace {
 
 constexpr std::size_t max_numbers = 200000;
 constexpr int max_parameters = 20000;
+constexpr std::size_t max_corners = 20000;
 
 /// The part of Python's literals that a .cameramodel has: a dict of texts, byte strings, numbers and lists.
 class LiteralReader {
@@ -167,9 +169,24 @@ std::string list(const Numbers& numbers) {
   return fmt::format("[ {},]", fmt::join(numbers, ", "));
 }
 
+const LiteralReader::Entry* find(const std::vector<LiteralReader::Entry>& entries, const char* key) {
+  const auto found = std::find_if(entries.begin(), entries.end(), [&](const auto& e) { return e.key == key; });
+  return found == entries.end() ? nullptr : &*found;
+}
+
+std::string corner_rows(const std::vector<CornerResidual>& corners) {
+  std::string text = "\n    # Corners of the boards: found x, y, and found minus predicted, pixels\n    'lacquer_corner_residuals': [\n";
+  const std::size_t step = (corners.size() + max_corners - 1) / max_corners;
+  for (std::size_t i = 0; i < corners.size(); i += step)
+    text += fmt::format("      [ {:.3f}, {:.3f}, {:.4f}, {:.4f}],\n", corners[i].found.x, corners[i].found.y, corners[i].residual.x, corners[i].residual.y);
+  return text + "    ],\n";
+}
+
 }  // namespace
 
-std::string cameramodel_text(const Lens& lens, const std::string& note, const OptimizationInputs& inputs) {
+std::string cameramodel_text(const Lens& lens, const std::string& note, const OptimizationInputs& inputs) { return cameramodel_text(lens, note, inputs, {}); }
+
+std::string cameramodel_text(const Lens& lens, const std::string& note, const OptimizationInputs& inputs, const std::vector<CornerResidual>& corners) {
   std::string text = "# " + note + "\n{\n";
   text += fmt::format("    'lensmodel':  '{}',\n\n", lens.model);
   text += fmt::format("    # fx, fy, cx, cy, then the distortion\n    'intrinsics': {},\n\n", list(lens.intrinsics));
@@ -183,16 +200,14 @@ std::string cameramodel_text(const Lens& lens, const std::string& note, const Op
                                                            lens.covariance.begin() + static_cast<std::ptrdiff_t>((i + 1) * n), ", "));
     text += "    ],\n";
   }
+  if (!corners.empty()) text += corner_rows(corners);
   if (!inputs.empty()) text += fmt::format("\n    # All that the solver was given, for mrcal's tools\n    'icam_intrinsics': 0,\n    'optimization_inputs': b'{}',\n", inputs);
   return text + "}\n";
 }
 
 Lens parse_lens(const std::string& text, const std::string& file) {
   const auto entries = LiteralReader(text, file).dict();
-  const auto entry = [&](const char* key) -> const LiteralReader::Entry* {
-    const auto found = std::find_if(entries.begin(), entries.end(), [&](const auto& e) { return e.key == key; });
-    return found == entries.end() ? nullptr : &*found;
-  };
+  const auto entry = [&](const char* key) { return find(entries, key); };
   const auto numbers = [&](const char* key, std::size_t n, const char* what) -> const std::vector<double>& {
     const auto* e = entry(key);
     if (!e) brdf::fail_file(file, fmt::format("{}: missing; expected {} numbers: {}", key, n, what));
@@ -236,6 +251,24 @@ Lens parse_lens(const std::string& text, const std::string& file) {
 }
 
 Lens read_lens(const std::filesystem::path& file) { return parse_lens(brdf::read_text(file), file.string()); }
+
+std::vector<CornerResidual> parse_corner_residuals(const std::string& text, const std::string& file) {
+  const auto entries = LiteralReader(text, file).dict();
+  const auto* e = find(entries, "lacquer_corner_residuals");
+  if (!e) return {};
+  if (!e->is_list || e->numbers.size() % 4 != 0)
+    brdf::fail_file(file, fmt::format("lacquer_corner_residuals: expected rows of 4 numbers (pixel, found minus predicted), got {} numbers", e->numbers.size()));
+  std::vector<CornerResidual> corners;
+  for (std::size_t i = 0; i < e->numbers.size(); i += 4) {
+    const CornerResidual c{{e->numbers[i], e->numbers[i + 1]}, {e->numbers[i + 2], e->numbers[i + 3]}};
+    if (!(std::abs(c.found.x) <= 1e5 && std::abs(c.found.y) <= 1e5 && std::abs(c.residual.x) <= 1e5 && std::abs(c.residual.y) <= 1e5))
+      brdf::fail_file(file, fmt::format("lacquer_corner_residuals[{}]: expected pixels within 1e5", i / 4));
+    corners.push_back(c);
+  }
+  return corners;
+}
+
+std::vector<CornerResidual> read_corner_residuals(const std::filesystem::path& file) { return parse_corner_residuals(brdf::read_text(file), file.string()); }
 
 CameraModel camera_of(const Lens& lens, const std::string& file) {
   if (lens.model != "LENSMODEL_PINHOLE" && lens.model != "LENSMODEL_OPENCV4" && lens.model != "LENSMODEL_OPENCV5" && lens.model != "LENSMODEL_OPENCV8")

@@ -138,6 +138,13 @@ std::vector<LensBoard> boards_of(const LensProblem& p, const LensSolution& s, co
   return boards;
 }
 
+std::vector<acquire::CornerResidual> residuals_of(const LensProblem& p, const LensSolution& s) {
+  std::vector<acquire::CornerResidual> corners;
+  for (std::size_t i = 0; i < p.observed.size(); ++i)
+    if (p.observed[i].z > 0) corners.push_back({{p.observed[i].x, p.observed[i].y}, -s.residuals[i]});  // mrcal's are predicted minus found
+  return corners;
+}
+
 void warn(LensCalibration& c, const BoardShape& board) {
   if (c.boards.size() < 10) c.warnings.push_back(fmt::format("only {} boards; 20 or more average the noise and let outliers be seen", c.boards.size()));
   if (c.covered < 0.5)
@@ -178,6 +185,7 @@ LensCalibration calibrate_lens(const std::vector<BoardView>& views, const BoardS
   c.lens = {options.model, width, height, p.intrinsics, {}};
   c.warp_m = p.warp;
   c.boards = boards_of(p, s, views);
+  c.residuals = residuals_of(p, s);
   c.n_corners = p.observed.size();
   c.n_outliers = s.n_outliers;
   c.rms_px = s.rms_px;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "libacquire/lens_file.h"
+#include "libacquire/lens_residuals.h"
 #include "libcalib/lens_boards.h"
 
 /// A lens from photographs of a chessboard, solved by mrcal. docs/lens.md has the equations.
@@ -46,6 +47,7 @@ struct LensCalibration {
   acquire::Lens lens;           ///< with covariance, unless it is a spline
   std::array<double, 2> warp_m{}, warp_sigma_m{};  ///< lift of the board's middle along each side, metres
   std::vector<LensBoard> boards;
+  std::vector<acquire::CornerResidual> residuals;  ///< of the corners that count, board by board
   std::size_t n_corners = 0, n_outliers = 0;
   double rms_px = 0;            ///< of the distances of the corners that count, as OpenCV states it; mrcal counts each coordinate, its number is smaller by sqrt(2)
   double sigma_px = 0;          ///< of one coordinate of a corner, from the residuals and degrees of freedom

@@ -189,7 +189,7 @@ void run(Options o, const Context& context) {
   const auto start = std::chrono::steady_clock::now();
   const calib::LensCalibration c = calib::calibrate_lens(found.views, shape, found.width, found.height, o.lens);
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  brdf::write_text_atomically(o.output, acquire::cameramodel_text(c.lens, context.command_line, c.inputs));
+  brdf::write_text_atomically(o.output, acquire::cameramodel_text(c.lens, context.command_line, c.inputs, c.residuals));
   if (context.json)
     print_result_json(c, found, seconds, o, context);
   else

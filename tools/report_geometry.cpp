@@ -132,7 +132,7 @@ HtmlSection geometry_section(const ReportSession& s) {
                                  s.calibration->turntable_scale, html_escaped(s.calibration->scale_source));
   const std::string note = d.distant ? " The lights are distant: drawn at four radii." : "";
   html += "<div class=row>" + to_scale(s, d, 2, 0, "top-", "Seen along the turntable's axis (from above), to scale." + note) +
-          to_scale(s, d, 2, 1, "side-", "Seen from the side, to scale." + note) + lens_figure(*s.calibration) + "</div>\n" + highlight_figures(s) + parameters(*s.calibration);
+          to_scale(s, d, 2, 1, "side-", "Seen from the side, to scale." + note) + "</div>\n" + highlight_figures(s) + lens_figures(s) + parameters(*s.calibration);
   return {"geometry", "Geometry", html};
 }
 

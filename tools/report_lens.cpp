@@ -1,9 +1,12 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
+#include <glm/geometric.hpp>
 #include <glm/mat3x3.hpp>
 #include <glm/matrix.hpp>
 
+#include "libacquire/lens_residuals.h"
 #include "tools/report_page.h"
 
 namespace lacquer::tools {
@@ -75,9 +78,72 @@ void remove_rotation(const std::vector<Place>& list, std::vector<glm::dvec2>& fi
     for (int a = 0; a < 3; ++a) field[i] -= turn[a] * list[i].turned[a];
 }
 
-}  // namespace
+/// What the session's copy of the .cameramodel says of the boards.
+std::vector<acquire::CornerResidual> corners_of(const acquire::RigDescription& rig) {
+  for (const auto& file : rig.referenced_files)
+    if (rig.lens && file.resolved.extension() == ".cameramodel") return acquire::read_corner_residuals(file.resolved);
+  return {};
+}
 
-std::string lens_figure(const calib::Calibration& calibration) {
+/// Arrows of the residuals, enlarged so that one of the rms distance is a fortieth of the image's width.
+std::string arrows_figure(const acquire::CameraModel& camera, const std::vector<acquire::CornerResidual>& corners, double rms) {
+  std::vector<std::vector<double>> columns(5);
+  for (const auto& c : corners) {
+    const double row[] = {c.found.x, c.found.y, c.residual.x, c.residual.y, glm::length(c.residual)};
+    for (std::size_t k = 0; k < 5; ++k) columns[k].push_back(row[k]);
+  }
+  const double exact = camera.width / (40 * std::max(rms, 1e-6)), decade = std::pow(10, std::floor(std::log10(exact)));
+  const double enlarged = decade * std::floor(exact / decade);
+  return html_figure(html_plot(plot_data("r", columns) + fmt::format("set size ratio -1\nset xrange [0:{}]\nset yrange [{}:0]\nset xlabel 'x / px'\nset ylabel 'y / px'\nset cblabel 'distance / px'\nset cbrange [0:{:.3g}]\nset style fill solid 1 noborder\nunset key\n"
+                                                                     "set palette defined (0 '#0072B2', 1 '#E69F00', 2 '#D55E00')\n"
+                                                                     "plot $r using 1:2:({}*$3):({}*$4):5 with vectors head filled size graph 0.006,20 lw 0.9 lc palette\n",
+                                                                     camera.width - 1, camera.height - 1, 3 * rms, enlarged, enlarged),
+                               {640, 480}, "corners-", "Residuals of the chessboards' corners over the image, as arrows"),
+                     fmt::format("Corners of the boards: arrows from where each was found, {:g} times enlarged, along found minus predicted. Arrows that agree over a region would be a distortion that the model does not have.", enlarged));
+}
+
+/// The part along the radius over the distance from the principal point, and its mean in tenths of the corners.
+std::string radial_figure(const acquire::CameraModel& camera, const std::vector<acquire::CornerResidual>& corners) {
+  std::vector<std::pair<double, double>> radial;
+  for (const auto& c : corners) {
+    const glm::dvec2 from_centre = c.found - camera.centre;
+    const double radius = glm::length(from_centre);
+    if (radius > 0) radial.emplace_back(radius, glm::dot(c.residual, from_centre) / radius);
+  }
+  std::sort(radial.begin(), radial.end());
+  std::vector<std::vector<double>> points(2), means(3);
+  for (const auto& [radius, residual] : radial) points[0].push_back(radius), points[1].push_back(residual);
+  constexpr std::size_t n_parts = 10;
+  for (std::size_t part = 0; part < n_parts && radial.size() >= 10 * n_parts; ++part) {
+    const std::size_t begin = part * radial.size() / n_parts, end = (part + 1) * radial.size() / n_parts;
+    const auto n = static_cast<double>(end - begin);
+    double radius = 0, mean = 0, square = 0;
+    for (std::size_t i = begin; i < end; ++i) radius += radial[i].first / n, mean += radial[i].second / n;
+    for (std::size_t i = begin; i < end; ++i) square += (radial[i].second - mean) * (radial[i].second - mean);
+    const double row[] = {radius, mean, 2 * std::sqrt(square / (n - 1) / n)};
+    for (std::size_t k = 0; k < 3; ++k) means[k].push_back(row[k]);
+  }
+  std::string script = plot_data("p", points) + plot_data("m", means) +
+                       "set xlabel 'distance from the principal point / px'\nset ylabel 'residual along the radius / px'\nset key top left\n"
+                       "plot 0 with lines lw 0.8 lc rgb grey, $p using 1:2 with points pt 7 ps 0.25 lc rgb sky title 'corners'";
+  if (!means[0].empty()) script += ", $m using 1:2:3 with yerrorbars pt 7 ps 0.7 lw 1.6 lc rgb vermilion title 'mean of a tenth of them, 2 standard errors'";
+  return html_figure(html_plot(script + "\n", {640, 480}, "radial-", "Radial part of the corners' residuals over the distance from the principal point"),
+                     "The same along the radius: a mean that leaves zero by more than its bar is radial distortion that the model does not follow.");
+}
+
+std::string corner_figures(const ReportSession& s) {
+  const std::vector<acquire::CornerResidual> corners = corners_of(s.session.rig);
+  if (corners.size() < 3) return "";
+  const acquire::CameraModel& camera = s.session.rig.geometry.camera;  // that the boards were solved for
+  double sum = 0, largest = 0;
+  for (const auto& c : corners) sum += glm::dot(c.residual, c.residual), largest = std::max(largest, glm::length(c.residual));
+  const double rms = std::sqrt(sum / static_cast<double>(corners.size()));
+  return fmt::format("<p>Lens calibrated from chessboards: {}, {} corners that count, {:.3f} px rms distance, {:.2f} px at most.</p>\n<div class=row>", html_escaped(s.session.rig.lens->model), corners.size(), rms,
+                     largest) +
+         arrows_figure(camera, corners, rms) + radial_figure(camera, corners) + "</div>\n";
+}
+
+std::string uncertainty_figure(const calib::Calibration& calibration) {
   const acquire::CameraModel& camera = calibration.geometry.camera;
   const auto n = static_cast<std::size_t>(std::llround(std::sqrt(static_cast<double>(calibration.lens_covariance.size()))));
   if (n < 4 || n > 12 || n * n != calibration.lens_covariance.size()) return "";
@@ -119,6 +185,14 @@ std::string lens_figure(const calib::Calibration& calibration) {
                                {640, 480}, "lens-", "Uncertainty of the lens over the image, with its distortion as arrows"),
                      fmt::format("The lens: colour, standard deviation of a far point's pixel in its worst direction, from the covariance of the calibration with a common rotation taken off (largest {:.2g} px); "
                                  "arrows, to where a lens without distortion would have it.", largest));
+}
+
+}  // namespace
+
+std::string lens_figures(const ReportSession& s) {
+  const std::string uncertainty = uncertainty_figure(*s.calibration), corners = corner_figures(s);
+  if (uncertainty.empty() && corners.empty()) return "";
+  return "<h3>Lens</h3>\n" + corners + "<div class=row>" + uncertainty + "</div>\n";
 }
 
 }  // namespace lacquer::tools

@@ -47,8 +47,9 @@ std::vector<ReportBrdf> load_named_brdfs(const std::vector<std::string>& files);
 HtmlSection capture_section(const ReportSession& s);
 HtmlSection sensor_section(const ReportSession& s);
 HtmlSection geometry_section(const ReportSession& s);
-/// Map of the lens' uncertainty and distortion; empty where the rig has no lens file that states a covariance.
-std::string lens_figure(const calib::Calibration& calibration);
+/// The lens: what it leaves of the chessboards' corners, its uncertainty over the image, its distortion; as much of it as the rig's
+/// lens file states. The session has a calibration.
+std::string lens_figures(const ReportSession& s);
 HtmlSection photographs_section(const ReportSession& s);
 /// Parameters, correlations, candidates, minima of a fit.json.
 HtmlSection parameters_section(const std::filesystem::path& fit_file, const brdf::Brdf* truth);

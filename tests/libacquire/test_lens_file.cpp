@@ -2,7 +2,7 @@
 
 #include <glm/geometric.hpp>
 
-#include "libacquire/lens_file.h"
+#include "libacquire/lens_residuals.h"
 #include "libbrdf/error.h"
 #include "test_support.h"
 
@@ -117,6 +117,43 @@ TEST(LensFile, HostileTextIsRefusedInOneLine) {
   std::string numbers = "{'intrinsics': [";
   for (int i = 0; i < 200001; ++i) numbers += "1,";
   EXPECT_NE(error_of(numbers + "]}").find("more than 200000 numbers"), std::string::npos);
+}
+
+TEST(LensFile, ResidualsOfCornersReadBackAndDoNotDisturbTheLens) {
+  const Lens lens{"LENSMODEL_PINHOLE", 640, 480, {500, 500, 320, 240}, {}};
+  const std::vector<CornerResidual> corners = {{{10.5, 20.25}, {0.125, -0.25}}, {{639, 479}, {-3, 0}}};
+  const std::string text = cameramodel_text(lens, "a note", "abc", corners);
+  const auto again = parse_corner_residuals(text, "x");
+  ASSERT_EQ(again.size(), 2u);
+  EXPECT_EQ(again[0].found, corners[0].found);
+  EXPECT_EQ(again[0].residual, corners[0].residual);
+  EXPECT_EQ(again[1].residual, corners[1].residual);
+  EXPECT_EQ(parse_lens(text, "x").intrinsics, lens.intrinsics);
+  EXPECT_TRUE(parse_corner_residuals(of_mrcal, "x").empty());
+}
+
+TEST(LensFile, SoManyCornersAreWrittenThatTheFileCanBeRead) {
+  const Lens lens{"LENSMODEL_PINHOLE", 640, 480, {500, 500, 320, 240}, {}};
+  std::vector<CornerResidual> corners(60001);
+  for (std::size_t i = 0; i < corners.size(); ++i) corners[i].found.x = static_cast<double>(i) / 1000;
+  const auto again = parse_corner_residuals(cameramodel_text(lens, "", "", corners), "x");
+  EXPECT_EQ(again.size(), 15001u) << "every fourth";
+  EXPECT_EQ(again.back().found.x, 60);
+}
+
+TEST(LensFile, HostileResidualsAreRefused) {
+  const auto error = [](const std::string& rows) -> std::string {
+    try {
+      parse_corner_residuals("{'lacquer_corner_residuals': " + rows + "}", "x.cameramodel");
+    } catch (const Error& e) {
+      return e.what();
+    }
+    return "no error";
+  };
+  EXPECT_EQ(error("[[1, 2, 3, 4], [5, 6, 7]]"), "x.cameramodel: lacquer_corner_residuals: expected rows of 4 numbers (pixel, found minus predicted), got 7 numbers");
+  EXPECT_EQ(error("[[1, 2, 3, 4], [5, 6, 7, -1e6]]"), "x.cameramodel: lacquer_corner_residuals[1]: expected pixels within 1e5");
+  EXPECT_NE(error("'text'").find("expected rows of 4 numbers"), std::string::npos);
+  EXPECT_NE(error("[nan]").find("is not a finite number"), std::string::npos);
 }
 
 TEST(LensFile, EveryCutOfAGoodFileIsRefused) {

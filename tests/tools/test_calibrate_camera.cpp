@@ -5,7 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "libacquire/frame.h"
-#include "libacquire/lens_file.h"
+#include "libacquire/lens_residuals.h"
 #include "libacquire/rig_description.h"
 #include "libbrdf/error.h"
 #include "libbrdf/files.h"
@@ -78,6 +78,14 @@ TEST_F(CalibrateCamera, PhotographsOfABoardGiveTheLensThatARigFileUses) {
   const acquire::Lens lens = acquire::read_lens(folder / "lens.cameramodel");
   const double truth[] = {437, 438, 243, 177};
   for (std::size_t i = 0; i < 4; ++i) EXPECT_NEAR(lens.intrinsics[i], truth[i], 4 * std::sqrt(lens.covariance[i * 9]) + 0.05) << i;
+
+  // What is left of the corners goes into the file for the report.
+  const auto corners = acquire::read_corner_residuals(folder / "lens.cameramodel");
+  ASSERT_EQ(corners.size(), 350u);
+  double sum = 0;
+  for (const auto& c : corners) sum += glm::dot(c.residual, c.residual);
+  const std::size_t at = result.out.find("px, rms ") + 8;
+  EXPECT_NEAR(std::sqrt(sum / 350), std::stod(result.out.substr(at)), 2e-3);
 
   const std::string rig = "[rig]\nname = \"r\"\nkind = \"simulated\"\n[camera]\nwidth_px = 480\nheight_px = 360\nlayout = \"mono\"\nbits = 12\nlens_file = \"lens.cameramodel\"\nposition_mm = [0, 0, 1000]\n"
                           "[sensor]\nsensitivity_e_per_s = 5e5\n[[lights]]\nposition_mm = [0, 125, 587]\n[plan]\nangles_deg = [0]\nexposures_ms = [10]\n";

@@ -3,6 +3,7 @@
 #include <regex>
 #include <set>
 
+#include "libacquire/lens_residuals.h"
 #include "libbrdf/files.h"
 #include "test_support.h"
 
@@ -47,6 +48,27 @@ TEST(Report, PageOfASessionHasEverySectionAndItsWarningsFirst) {
   ASSERT_NE(warning, std::string::npos);
   EXPECT_NE(page.find("taken from the rig file", warning), std::string::npos);
   EXPECT_LT(warning, page.find("<section"));
+}
+
+TEST(Report, ShowsWhatALensFileLeavesOfItsChessboards) {
+  const test::TemporaryFolder folder;
+  std::string rig = brdf::read_text(sample("tiny-rig.toml"));
+  const std::string focal = "focal_length_px = 611 ", paint = "paints/";
+  rig.replace(rig.find(focal), focal.size(), "lens_file = \"l.cameramodel\" ").replace(rig.find(paint), paint.size(), sample(paint));
+  test::write_file(folder / "rig.toml", rig);
+  acquire::Lens lens{"LENSMODEL_PINHOLE", 96, 72, {611, 611, 47.5, 35.5}, std::vector<double>(16, 0.0)};
+  for (std::size_t i = 0; i < 4; ++i) lens.covariance[5 * i] = 0.01;
+  // Distances 0.3, 0.4, 0.5 and 0: the mean square is 0.125.
+  test::write_file(folder / "l.cameramodel", acquire::cameramodel_text(lens, "", "", {{{10, 10}, {0.3, 0}}, {{80, 10}, {0, -0.4}}, {{10, 60}, {0.3, 0.4}}, {{80, 60}, {0, 0}}}));
+  const auto session = (folder / "s").string();
+  for (const std::string command : {"capture " + (folder / "rig.toml").string() + " -o " + session, "merge " + session, "report " + session}) {
+    const auto result = test::run_lacquer("-q " + command);
+    ASSERT_EQ(result.exit_code, 0) << command << result.err;
+  }
+  const std::string page = brdf::read_text(folder / "s" / "report.html");
+  expect_good_page(page);
+  for (const char* text : {"LENSMODEL_PINHOLE, 4 corners that count, 0.354 px rms distance, 0.50 px at most", "Residuals of the chessboards", "Radial part of the corners", "Uncertainty of the lens over the image"})
+    EXPECT_NE(page.find(text), std::string::npos) << text;
 }
 
 TEST(Report, PageOfBrdfFilesComparesThemWithTheFirst) {
