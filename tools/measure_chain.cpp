@@ -1,28 +1,12 @@
 #include "tools/measure_chain.h"
 
-#include <chrono>
-
 #include "libacquire/open_rig.h"
 #include "libbrdf/files.h"
 #include "libcalib/merge_session.h"
 #include "tools/geometry_provenance.h"
+#include "tools/stopwatch.h"
 
 namespace lacquer::tools {
-
-namespace {
-
-class Stopwatch {
- public:
-  double lap() {
-    const auto now = std::chrono::steady_clock::now();
-    return std::chrono::duration<double>(now - std::exchange(last_, now)).count();
-  }
-
- private:
-  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
-};
-
-}  // namespace
 
 Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const brdf::Brdf> paint, const std::filesystem::path& folder,
                     const MeasureOptions& options, const Progress& progress) {

@@ -3,7 +3,7 @@
 #include <chrono>
 #include <utility>
 
-namespace lacquer::bench {
+namespace lacquer::tools {
 
 class Stopwatch {
  public:
@@ -17,4 +17,4 @@ class Stopwatch {
   std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };
 
-}  // namespace lacquer::bench
+}  // namespace lacquer::tools

@@ -12,12 +12,12 @@
 #include "bench/chain/full.h"
 #include "bench/chain/peers.h"
 #include "bench/chain/settings.h"
+#include "bench/chain/staged_run.h"
 #include "bench/markdown.h"
 #include "bench/radiometry/machine.h"
 #include "libbrdf/brdf.h"
 #include "libbrdf/files.h"
 #include "libbrdf/metrics.h"
-#include "tools/measure_chain.h"
 #include "tools/plot.h"
 
 namespace {
@@ -53,19 +53,21 @@ struct Outcome {
 
 const std::vector<std::string> all_paints{"ford-f8", "polaris-silber", "opel-titan", "bmw-339", "2k-acrylack", "white", "blue", "blue-matte"};
 
-/// Stage names of the chain that count: the simulation of the frames does not.
-std::optional<std::string> counted(const std::string& stage) {
-  if (stage == "of this merge") return "merge";
-  if (stage == "tabulate" || stage == "write table" || stage == "fit") return stage;
-  return std::nullopt;
-}
-
-void add(Outcome& o, const brdf::Brdf& truth, const brdf::CookTorrance& fit, double n_paints, const std::vector<std::pair<std::string, double>>& seconds) {
+void add(Outcome& o, const brdf::Brdf& truth, const brdf::CookTorrance& fit, double n_paints, const std::map<std::string, double>& seconds) {
   const brdf::BrdfDifference d = brdf::compare(truth, brdf::CookTorranceBrdf(fit));
   o.errors.push_back(d.mean_abs_log);
   o.delta_es.push_back(d.delta_e_mean);
-  for (const auto& [stage, s] : seconds)
-    if (const auto name = counted(stage)) o.seconds[*name] += s / n_paints, o.total += s / n_paints;
+  for (const auto& [stage, s] : seconds) o.seconds[stage] += s / n_paints, o.total += s / n_paints;
+}
+
+/// Another fit, perhaps of a coarser table, of what the base measured; its times stand for the stages before.
+void add_from_base(Outcome& o, const StagedRun& base, const brdf::Brdf& truth, double n_paints, const fs::path& folder) {
+  auto seconds = base.seconds;
+  const std::optional<brdf::HalfAngleTable> coarse = o.setting.coarse > 1 ? std::optional(coarser(base.table, o.setting.coarse)) : std::nullopt;
+  if (coarse) seconds["write table"] = time_repeats(1, [&] { brdf::write_table(folder / "coarse.exr", *coarse); }).min_s;
+  const auto fitted = fit::fit_table(coarse ? *coarse : base.table, o.setting.fit);
+  seconds["fit"] = fitted.seconds;
+  add(o, truth, fitted.model, n_paints, seconds);
 }
 
 std::vector<Outcome> run_settings(const Arguments& a, const std::vector<Setting>& list, const std::vector<std::string>& paints) {
@@ -75,33 +77,18 @@ std::vector<Outcome> run_settings(const Arguments& a, const std::vector<Setting>
   for (const Setting& s : list) outcomes.push_back({s, {}, 0, {}, {}});
   for (const std::string& name : paints) {
     const std::shared_ptr<const brdf::Brdf> paint = brdf::load_brdf(root / "data-samples" / "paints" / (name + ".json"));
-    std::optional<brdf::HalfAngleTable> base;
-    std::vector<std::pair<std::string, double>> base_seconds;
+    std::optional<StagedRun> base;
     for (Outcome& o : outcomes) {
+      std::fprintf(stderr, "%s: %s %s\n", name.c_str(), o.setting.knob.c_str(), o.setting.value.c_str());
       if (!o.setting.capture) {
-        const std::optional<brdf::HalfAngleTable> coarse = o.setting.coarse > 1 ? std::optional(coarser(*base, o.setting.coarse)) : std::nullopt;
-        const brdf::HalfAngleTable& table = coarse ? *coarse : *base;
-        auto seconds = base_seconds;
-        const auto set = [&](const std::string& name, double value) {
-          for (auto& [stage, s] : seconds)
-            if (stage == name) s = value;
-        };
-        if (coarse) set("write table", time_repeats(1, [&] { brdf::write_table(fs::path(a.folder) / "coarse.exr", table); }).min_s);
-        const auto fitted = fit::fit_table(table, o.setting.fit);
-        set("fit", fitted.seconds);
-        add(o, *paint, fitted.model, static_cast<double>(paints.size()), seconds);
+        add_from_base(o, *base, *paint, static_cast<double>(paints.size()), a.folder);
         continue;
       }
-      std::fprintf(stderr, "%s: %s %s\n", name.c_str(), o.setting.knob.c_str(), o.setting.value.c_str());
       const fs::path session = fs::path(a.folder) / "session";
       fs::remove_all(session);
-      const auto rig = acquire::parse_rig(edited(text, o.setting), rig_file);
-      tools::MeasureOptions options;
-      options.fit = o.setting.fit;
-      options.provenance_json = "{}";
-      tools::Measurement m = tools::measure(rig, paint, session, options, {});
-      add(o, *paint, m.fit.model, static_cast<double>(paints.size()), m.seconds);
-      if (!base) base = std::move(m.tabulation.table), base_seconds = m.seconds;
+      StagedRun run = run_stages(acquire::parse_rig(edited(text, o.setting), rig_file), paint, session, o.setting.fit);
+      add(o, *paint, run.model, static_cast<double>(paints.size()), run.seconds);
+      if (!base) base = std::move(run);
     }
   }
   fs::remove_all(fs::path(a.folder) / "session");

@@ -13,7 +13,7 @@
 #include "libcalib/merge.h"
 #include "libcalib/radiance_image.h"
 #include "libcalib/samples.h"
-#include "stopwatch.h"
+#include "tools/stopwatch.h"
 
 namespace lacquer::bench {
 
@@ -75,7 +75,7 @@ PaintResult measure_paint(const acquire::RigDescription& nominal, const BuilderE
   const std::shared_ptr<const brdf::Brdf> paint = brdf::load_brdf(paint_file);
   const auto* truth = dynamic_cast<const brdf::CookTorranceBrdf*>(paint.get());
   if (truth == nullptr) throw Error(ErrorCode::input, fmt::format("{}: expected a Cook-Torrance paint", paint_file.string()));
-  Stopwatch watch;
+  tools::Stopwatch watch;
   const acquire::RigDescription built = built_with(nominal, errors);
   acquire::sim::SimulatedWorld world(built, paint);
   calib::Calibration calibration = calib::calibration_from_rig(nominal);

@@ -11,7 +11,7 @@
 #include "libcalib/calibration.h"
 #include "libcalib/geometry_projection.h"
 #include "libcalib/merge.h"
-#include "stopwatch.h"
+#include "tools/stopwatch.h"
 
 namespace lacquer::bench {
 
@@ -122,7 +122,7 @@ acquire::RigDescription built_with(const acquire::RigDescription& nominal, const
 
 RigResult run_rig(const acquire::RigDescription& nominal, const BuilderErrors& errors, std::uint64_t seed, const std::shared_ptr<const brdf::Brdf>& paint,
                   const calib::GeometryPriors& priors, bool use_paint) {
-  Stopwatch watch;
+  tools::Stopwatch watch;
   acquire::RigDescription built = built_with(nominal, errors);
   built.simulation.seed = seed;
   acquire::sim::SimulatedWorld world(built, paint);
