@@ -15,6 +15,7 @@
 #include "libbrdf/files.h"
 #include "libcalib/lens_calibration.h"
 #include "tools/calibrate_parts.h"
+#include "tools/fit_table.h"
 #include "tools/json_output.h"
 
 namespace lacquer::tools {
@@ -120,6 +121,10 @@ void print_result_json(const calib::LensCalibration& c, const Found& found, doub
   j["model"] = c.lens.model;
   j["imagersize"] = {c.lens.width, c.lens.height};
   j["intrinsics"] = c.lens.intrinsics;
+  if (!c.lens.covariance.empty()) {
+    j["intrinsics_sigma"] = Json::array();
+    for (std::size_t i = 0, n = c.lens.intrinsics.size(); i < n; ++i) j["intrinsics_sigma"].push_back(std::sqrt(c.lens.covariance[i * n + i]));
+  }
   j["boards"] = Json::array();
   for (const auto& b : c.boards) j["boards"].push_back({{"file", b.name}, {"rms_px", b.rms_px}, {"outliers", b.n_outliers}});
   j["without_board"] = found.without;
@@ -149,7 +154,7 @@ void print_intrinsics(const acquire::Lens& lens) {
     return;
   }
   for (std::size_t i = 0; i < n; ++i)
-    fmt::print("  {:<3} {:>14.{}f} +- {:.{}f}{}\n", names[i], lens.intrinsics[i], i < 4 ? 3 : 6, std::sqrt(lens.covariance[i * n + i]), i < 4 ? 3 : 6, i < 4 ? " px" : "");
+    fmt::print("  {:<3}{}{}\n", names[i], with_error_aligned(lens.intrinsics[i], std::sqrt(lens.covariance[i * n + i]), 13, i < 4 ? 12 : 0), i < 4 ? "px" : "");
 }
 
 void print_text(const calib::LensCalibration& c, const Found& found, double seconds, const Options& o) {
@@ -158,20 +163,21 @@ void print_text(const calib::LensCalibration& c, const Found& found, double seco
   for (const std::string& file : found.without) fmt::print("  no board in {}\n", file);
   for (const auto& b : c.boards)
     if (b.n_outliers > 0 || b.rms_px > 2 * c.rms_px) fmt::print("  {}: rms {:.3f} px, {} outliers\n", b.name, b.rms_px, b.n_outliers);
-  fmt::print("lens: {}, {} x {} px, rms {:.4f} px, solved in {:.2f} s\n", c.lens.model, c.lens.width, c.lens.height, c.rms_px, seconds);
+  fmt::print("lens: {}, {} x {} px, rms {:.3f} px, solved in {:.2f} s\n", c.lens.model, c.lens.width, c.lens.height, c.rms_px, seconds);
   print_intrinsics(c.lens);
-  if (o.lens.warp) fmt::print("board: middle lifted by {:+.3f} +- {:.3f} mm along its rows, {:+.3f} +- {:.3f} mm along its columns\n", 1e3 * c.warp_m[0], 1e3 * c.warp_sigma_m[0],
-                              1e3 * c.warp_m[1], 1e3 * c.warp_sigma_m[1]);
-  fmt::print("corner noise: {:.4f} px per coordinate; corners cover {:.0f} % of the image\n", c.sigma_px, 100 * c.covered);
+  if (o.lens.warp) fmt::print("board: middle lifted by {} mm along its rows, {} mm along its columns\n", with_error(1e3 * c.warp_m[0], 1e3 * c.warp_sigma_m[0]),
+                              with_error(1e3 * c.warp_m[1], 1e3 * c.warp_sigma_m[1]));
+  fmt::print("corner noise: {:.3f} px per coordinate; corners cover {:.0f} % of the image\n", c.sigma_px, 100 * c.covered);
   const auto line = [](const std::string& where, const calib::PixelUncertainty& u) {
-    fmt::print("uncertainty {}: {:.4f} px in the middle, {:.4f} px mean, {:.4f} px worst\n", where, u.centre, u.mean, u.worst);
+    fmt::print("  {:<27}{:>10.2g}{:>10.2g}{:>10.2g}\n", where, u.centre, u.mean, u.worst);
   };
+  fmt::print("uncertainty of a pixel, px       middle      mean     worst\n");
   line(fmt::format("at the boards' {:.3g} m", c.board_distance_m), c.at_boards);
   line("far away", c.at_infinity);
   if (c.cross) {
-    fmt::print("halves of {} and {} boards: rms {:.4f} px through the own lens, {:.4f} px through the other's\n", c.cross->n_boards[0], c.cross->n_boards[1], c.cross->fitted_rms_px,
+    fmt::print("halves of {} and {} boards: rms {:.3f} px through the own lens, {:.3f} px through the other's\n", c.cross->n_boards[0], c.cross->n_boards[1], c.cross->fitted_rms_px,
                c.cross->held_out_rms_px);
-    fmt::print("  their lenses differ by {:.4f} px rms over the image ({:.4f} px expected), {:.4f} px at most\n", c.cross->difference_rms_px, c.cross->expected_rms_px,
+    fmt::print("  their lenses differ by {:.2f} px rms over the image ({:.2f} px expected), {:.2f} px at most\n", c.cross->difference_rms_px, c.cross->expected_rms_px,
                c.cross->worst_difference_px);
   }
   for (const std::string& w : c.warnings) fmt::print("{} {}\n", emphasised("warning:", Emphasis::warning, stdout), w);

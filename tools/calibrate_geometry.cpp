@@ -15,6 +15,7 @@
 #include "libcalib/geometry_session.h"
 #include "libcalib/merge_session.h"
 #include "tools/calibrate_parts.h"
+#include "tools/fit_table.h"
 #include "tools/json_output.h"
 
 namespace lacquer::tools {
@@ -72,10 +73,11 @@ void print_distant_lights(const calib::DistantLights& d) {
   for (const auto& [fate, views] : rejected) fmt::print("  no highlight in {}: {}\n", names(views), describe(fate));
   if (!d.joint.solved) return;
   const calib::JointDirections& j = d.joint;
-  fmt::print("jointly: given directions turned by {:+.2f} {:+.2f} {:+.2f} deg (+- {:.2f} {:.2f} {:.2f}) and the outline moved by {:+.2f} {:+.2f} px (+- {:.2f} {:.2f}), its radius "
-             "by {:+.2f} px (+- {:.2f}), leave {:.2f} deg median\n",
-             j.turn.x / degree, j.turn.y / degree, j.turn.z / degree, j.turn_sigma.x / degree, j.turn_sigma.y / degree, j.turn_sigma.z / degree, j.shift_px.x, j.shift_px.y,
-             j.shift_sigma_px.x, j.shift_sigma_px.y, j.radius_px, j.radius_sigma_px, j.median_off_rad / degree);
+  fmt::print("jointly: directions {:.2f} deg off (median) after\n", j.median_off_rad / degree);
+  const auto row = [](const char* name, double value, double sigma, const char* unit) { fmt::print("  {:<38}{} {}\n", name, with_error_aligned(value, sigma, 9, 10), unit); };
+  for (int k = 0; k < 3; ++k) row(fmt::format("turn of all given directions about {}", "xyz"[k]).c_str(), j.turn[k] / degree, j.turn_sigma[k] / degree, "deg");
+  for (int k = 0; k < 2; ++k) row(fmt::format("shift of the outline along {}", "xy"[k]).c_str(), j.shift_px[k], j.shift_sigma_px[k], "px");
+  row("change of its radius", j.radius_px, j.radius_sigma_px, "px");
 }
 
 nlohmann::ordered_json distant_lights_json(const calib::DistantLights& d) {
@@ -89,7 +91,9 @@ nlohmann::ordered_json distant_lights_json(const calib::DistantLights& d) {
     j["lights"].push_back(std::move(l));
   }
   if (d.joint.solved)
-    j["joint"] = {{"turn_rad", {d.joint.turn.x, d.joint.turn.y, d.joint.turn.z}}, {"shift_px", {d.joint.shift_px.x, d.joint.shift_px.y}}, {"radius_px", d.joint.radius_px},
+    j["joint"] = {{"turn_rad", {d.joint.turn.x, d.joint.turn.y, d.joint.turn.z}}, {"turn_sigma_rad", {d.joint.turn_sigma.x, d.joint.turn_sigma.y, d.joint.turn_sigma.z}},
+                  {"shift_px", {d.joint.shift_px.x, d.joint.shift_px.y}}, {"shift_sigma_px", {d.joint.shift_sigma_px.x, d.joint.shift_sigma_px.y}},
+                  {"radius_px", d.joint.radius_px}, {"radius_sigma_px", d.joint.radius_sigma_px},
                   {"median_off_rad", d.joint.median_off_rad}};
   return j;
 }
@@ -99,12 +103,11 @@ nlohmann::ordered_json distant_lights_json(const calib::DistantLights& d) {
 void print_geometry(const calib::SessionGeometry& g, const acquire::Session& session) {
   const calib::GeometryEstimate& e = g.estimate;
   const bool paint = g.paint.n_samples > 0;
-  fmt::print("{:<18} {:>10} {:>12} {:>10} {:>9}{}\n", "", "rig file", "estimate", "+-", "unit", paint ? "   moved by the paint, sigma" : "");
+  fmt::print("{:<18} {:>4} {:>11} {:>12} ± {:<10} {:>14}{}\n", "unknown", "unit", "rig file", "estimate", "sigma", "off rig file", paint ? "   moved by paint" : "");
   for (const calib::GeometryParameter& p : e.uncertainty.parameters) {
     const auto [factor, unit] = shown_as(p.unit);
-    const int digits = p.unit == "1" ? 6 : 4;
-    fmt::print("{:<18} {:>10.{}f} {:>12.{}f} {:>10.{}f} {:>9}{}\n", p.name, factor * p.nominal, digits - 2, factor * (p.nominal + p.correction), digits,
-               factor * p.sigma, digits, unit, paint ? fmt::format("   {:+10.1f}", p.paint_shift) : "");
+    fmt::print("{:<18} {:>4} {:>11.6g} {} {:>+8.1f} priors{}\n", p.name, unit, factor * p.nominal, with_error_aligned(factor * (p.nominal + p.correction), factor * p.sigma, 12, 13),
+               p.correction / p.prior_sigma, paint ? fmt::format("   {:>+8.1f} sigma", p.paint_shift) : "");
   }
   fmt::print("silhouette: {} of {} arcs ({} never lit, {} outliers), rms {:.3f} px, {:.1f} times the sigma of their fits; lens blur {:.2f} px\n", e.n_edges, g.n_arcs,
              g.n_dark_arcs, e.n_edge_outliers, e.edge_rms_px, e.edge_noise_factor, g.lens_blur_px);
@@ -112,10 +115,10 @@ void print_geometry(const calib::SessionGeometry& g, const acquire::Session& ses
              e.n_highlights, g.n_views, e.highlight_rms_px, e.highlight_noise_factor, e.angle_sigma_rad / degree);
   for (const auto& [fate, views] : g.rejected) fmt::print("  no highlight in {}: {}\n", names(views), describe(fate));
   for (const auto& o : e.outliers) fmt::print("  outlier: {}: off by {:+.2f} {:+.2f} px, left out\n", o.view, o.residual.x, o.residual.y);
-  fmt::print("known to (1 sigma): half vectors {:.4f} deg, lights {:.4f} deg and {:.3f} % of their distance, sphere centre {:.3f} px{}\n", e.half_vector_sigma_rad / degree,
+  fmt::print("known to (1 sigma): half vectors {:.2g} deg, lights {:.2g} deg and {:.2g} % of their distance, sphere centre {:.2g} px{}\n", e.half_vector_sigma_rad / degree,
              e.light_sigma_rad / degree, 100 * e.distance_sigma, e.centre_sigma_px, e.converged ? "" : "; the solver did NOT converge");
   if (paint)
-    fmt::print("light on the paint: {} samples, {:.2f} % about a smooth paint besides their noise; silhouette and highlights alone: half vectors {:.4f} deg, distance {:.3f} %\n",
+    fmt::print("light on the paint: {} samples, {:.2f} % about a smooth paint besides their noise; silhouette and highlights alone: half vectors {:.2g} deg, distance {:.2g} %\n",
                g.paint.n_samples, 100 * g.paint.scatter, g.paint.half_vector_sigma_before / degree, 100 * g.paint.distance_sigma_before);
   for (const std::string& w : e.warnings) fmt::print("{} {}\n", emphasised("warning:", Emphasis::warning, stdout), w);
   if (session.rig.kind != acquire::RigDescription::Kind::simulated) return;
@@ -130,12 +133,17 @@ nlohmann::ordered_json geometry_json(const calib::SessionGeometry& g, const acqu
   const calib::GeometryEstimate& e = g.estimate;
   Json j{{"parameters", Json::array()}};
   for (const calib::GeometryParameter& p : e.uncertainty.parameters)
-    j["parameters"].push_back({{"name", p.name}, {"unit", p.unit}, {"rig_file", p.nominal}, {"estimate", p.nominal + p.correction}, {"sigma", p.sigma}});
-  j["silhouette"] = {{"arcs", g.n_arcs}, {"used", e.n_edges}, {"never_lit", g.n_dark_arcs}, {"outliers", e.n_edge_outliers}, {"rms_px", e.edge_rms_px}};
+    j["parameters"].push_back({{"name", p.name}, {"unit", p.unit}, {"rig_file", p.nominal}, {"estimate", p.nominal + p.correction}, {"sigma", p.sigma},
+                               {"prior_sigma", p.prior_sigma}, {"paint_shift_sigmas", p.paint_shift}});
+  j["silhouette"] = {{"arcs", g.n_arcs}, {"used", e.n_edges}, {"never_lit", g.n_dark_arcs}, {"outliers", e.n_edge_outliers}, {"rms_px", e.edge_rms_px},
+                     {"lens_blur_px", g.lens_blur_px}};
   j["highlights"] = {{"views", g.n_views}, {"used", e.n_highlights}, {"rms_px", e.highlight_rms_px}, {"not_found", Json::object()}, {"outliers", Json::array()}};
   for (const auto& [fate, views] : g.rejected) j["highlights"]["not_found"][describe(fate)] = views;
   for (const auto& o : e.outliers) j["highlights"]["outliers"].push_back({{"view", o.view}, {"off_px", {o.residual.x, o.residual.y}}});
   j["sigma"] = {{"half_vector_rad", e.half_vector_sigma_rad}, {"light_rad", e.light_sigma_rad}, {"relative_distance", e.distance_sigma}, {"centre_px", e.centre_sigma_px}};
+  if (g.paint.n_samples > 0)
+    j["paint"] = {{"samples", g.paint.n_samples}, {"relative_scatter", g.paint.scatter},
+                  {"sigma_before", {{"half_vector_rad", g.paint.half_vector_sigma_before}, {"relative_distance", g.paint.distance_sigma_before}}}};
   j["converged"] = e.converged;
   j["warnings"] = e.warnings;
   if (session.rig.kind != acquire::RigDescription::Kind::simulated) return j;

@@ -1,7 +1,5 @@
 #include <fmt/format.h>
 
-#include <algorithm>
-#include <cmath>
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -12,6 +10,7 @@
 #include "libcalib/noise_json.h"
 #include "libcalib/photon_transfer.h"
 #include "tools/calibrate_parts.h"
+#include "tools/fit_table.h"
 #include "tools/json_output.h"
 #include "tools/plot.h"
 
@@ -31,13 +30,9 @@ struct Options {
   calib::PhotonTransferOptions measurement;
 };
 
-/// "4.196 ± 0.012": two digits of the standard error.
 std::string text_of(const std::optional<Measured>& m, double factor = 1) {
   if (!m) return "-";
-  const double value = m->value * factor, sigma = m->sigma * factor;
-  if (!(sigma > 0)) return fmt::format("{:.4g}", value);
-  const int decimals = std::clamp(1 - static_cast<int>(std::floor(std::log10(sigma))), 0, 9);
-  return fmt::format("{:.{}f} ± {:.{}f}", value, decimals, sigma, decimals);
+  return m->sigma > 0 ? with_error(m->value * factor, m->sigma * factor) : fmt::format("{:.4g}", m->value * factor);
 }
 
 void print_row(const char* name, const char* unit, const std::vector<std::string>& cells) {

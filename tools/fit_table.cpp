@@ -117,6 +117,12 @@ std::string with_error(double value, double sigma, const char* sign) {
   return fmt::format("{:.{}f} {} {:.{}f}", value, decimals, sign, sigma, decimals);
 }
 
+std::string with_error_aligned(double value, double sigma, int before, int after) {
+  const std::string text = with_error(value, sigma);
+  const std::size_t at = std::min(text.find(" ±"), text.size());
+  return fmt::format("{:>{}}{:<{}}", text.substr(0, at), before, text.substr(at), after);
+}
+
 TableFormat table_format(const std::string& file) {
   const std::string extension = std::filesystem::path(file).extension().string();
   if (extension == ".csv") return TableFormat::csv;

@@ -23,5 +23,7 @@ std::string fit_table_text(const std::vector<NamedFit>& fits, TableFormat format
 
 /// Value with its standard error: as many digits as the first two of the error, e.g. "0.05498 ± 0.00021".
 std::string with_error(double value, double sigma, const char* sign = "±");
+/// The same for columns of a table: the sign below the sign above, `before` columns before it and `after` behind.
+std::string with_error_aligned(double value, double sigma, int before, int after);
 
 }  // namespace lacquer::tools

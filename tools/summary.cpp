@@ -14,13 +14,6 @@ namespace lacquer::tools {
 
 namespace {
 
-/// `text` padded on the right to `width` columns ("±" is two bytes but one column).
-std::string padded(const std::string& text, std::size_t width) {
-  const auto columns = static_cast<std::size_t>(
-      std::count_if(text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
-  return text + std::string(columns < width ? width - columns : 0, ' ');
-}
-
 /// `truth` with its lobes in the order of the fitted ones they resemble most: least sum of |ln(m ratio)|, weighted by the true lobe's ks,
 /// so that a lobe that hardly exists does not take another's place.
 brdf::CookTorrance matched(brdf::CookTorrance truth, const brdf::CookTorrance& fitted) {
@@ -108,10 +101,10 @@ std::vector<ParameterRow> parameter_rows(const fit::FitResult& fit, const brdf::
 }
 
 std::string parameter_table(const fit::FitResult& fit, const brdf::CookTorrance* truth) {
-  std::string text = padded("parameter", 12) + (truth ? padded("fitted", 26) + "truth" : "fitted") + "\n";
+  std::string text = fmt::format("{:<12}", "parameter") + (truth ? fmt::format("{:<26}truth", "fitted") : "fitted") + "\n";
   for (const auto& row : parameter_rows(fit, truth)) {
-    std::string line = padded(row.name, 12) + padded(row.fitted, 26);
-    if (!row.truth.empty()) line += padded(row.truth, 10);
+    std::string line = fmt::format("{:<12}{:<26}", row.name, row.fitted);  // columns, not bytes
+    if (!row.truth.empty()) line += fmt::format("{:<10}", row.truth);
     if (!row.note.empty()) line += "  " + row.note;
     text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
   }

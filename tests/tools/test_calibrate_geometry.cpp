@@ -60,6 +60,11 @@ TEST(CalibrateGeometry, AMisplacedSphereAndATiltedAxisAreFound) {
     EXPECT_LT(std::abs(u.parameters[k].correction - truth[k]), 4 * u.parameters[k].sigma) << u.parameters[k].name;
     EXPECT_NEAR(std::sqrt(u.covariance[k * u.parameters.size() + k]), u.parameters[k].sigma, 1e-12);
   }
+  // Printed with the digits that the error bar leaves: two of the error, and the value to the same place.
+  std::smatch row;
+  ASSERT_TRUE(std::regex_search(result.out, row, std::regex("\nsphere\\.x +mm +0 +([0-9]+)\\.([0-9]+) ± 0\\.0*([1-9][0-9]) ")));
+  EXPECT_NEAR(std::stod(row[1].str() + "." + row[2].str()), 1e3 * u.parameters[0].correction, 0.51 * std::pow(10, -static_cast<double>(row[2].length()))) << result.out;
+  EXPECT_NEAR(std::stod(row[3]), 1e3 * u.parameters[0].sigma * std::pow(10, static_cast<double>(row[2].length())), 0.51) << result.out;
   // The rig file's comes back on request.
   ASSERT_EQ(run_lacquer("-q calibrate geometry --from-rig " + session).exit_code, 0);
   const auto back = lacquer::calib::read_calibration(session + "/calibration.json");
