@@ -72,7 +72,7 @@ TEST_F(CalibrateCamera, PhotographsOfABoardGiveTheLensThatARigFileUses) {
   photographs(10);
   const auto result = calibrate("--model opencv4");
   ASSERT_EQ(result.exit_code, 0) << result.err;
-  for (const char* text : {"boards: 10 of 10 photographs, 350 corners", "lens: LENSMODEL_OPENCV4, 480 x 360 px, rms ", "corner noise: ", "uncertainty far away: ", "halves of 5 and 5 boards"})
+  for (const char* text : {"boards: 10 of 10 photographs, 350 corners", "lens: LENSMODEL_OPENCV4, 480 x 360 px, rms ", "corner noise: ", "uncertainty of a pixel, px", "far away  ", "halves of 5 and 5 boards"})
     EXPECT_NE(result.out.find(text), std::string::npos) << text << "\n" << result.out;
 
   const acquire::Lens lens = acquire::read_lens(folder / "lens.cameramodel");
