@@ -128,7 +128,7 @@ void check_rig_files(const Session& session, const JournalContent& journal) {
   for (const auto& [name, checksum] : journal.rig_files) {
     const auto now = session.rig_files.find(name);
     if (now == session.rig_files.end() || now->second != checksum)
-      throw Error(ErrorCode::file, fmt::format("{}: the rig file (or a file it names) is not the one this capture began with; resume with that one",
+      throw Error(ErrorCode::file, fmt::format("{}: the rig file (or a file it names) is not the one this capture began with; resume with that one, or choose another folder",
                                                (session.folder / name).string()));
   }
 }

@@ -65,7 +65,9 @@ void CaptureGuard::run(const std::function<void()>& work) const {
     work();
   } catch (const Error& e) {
     if (!begun_) throw;
-    throw Error(e.code(), fmt::format("{}\nlacquer: {}; resume with: {}", e.what(), safe_state(e.code()), resume_command(context_.command_line)));
+    // Photographs that exist already have neither lights nor motor, and what ends their replay is mostly the rig file.
+    const std::string state = description_.kind == acquire::RigDescription::Kind::replay ? "after a change of the rig file: into another folder; else" : fmt::format("{};", safe_state(e.code()));
+    throw Error(e.code(), fmt::format("{}\nlacquer: {} resume with: {}", e.what(), state, resume_command(context_.command_line)));
   }
 }
 

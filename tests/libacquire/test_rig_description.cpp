@@ -203,6 +203,19 @@ TEST(RigDescription, EveryRigFileOfTheRepositoryIsValid) {
   EXPECT_EQ(read_rig(test::source_dir() / "rigs/simulated-paper.toml").plan.size(), 181u);
 }
 
+TEST(RigDescription, TheSmallestFilesOfTheGuideAreValid) {
+  const std::string guide = brdf::read_text(test::source_dir() / "rigs/README.md"), begin = "```toml\n";
+  std::vector<std::string> files;
+  for (std::size_t at = guide.find(begin); at != std::string::npos; at = guide.find(begin, at + 1)) files.push_back(guide.substr(at + begin.size(), guide.find("```", at + begin.size()) - at - begin.size()));
+  ASSERT_EQ(files.size(), 3u) << "simulated, photographs, what changes for developed ones";
+  const test::TemporaryFolder folder;
+  EXPECT_EQ(parse_rig(files[0], folder / "own.toml").plan.size(), 16u);
+  for (int i = 1; i <= 488; ++i) test::write_file(folder / ("IMG_" + std::to_string(10000 + i).substr(1) + ".png"), "");
+  const RigDescription photographs = parse_rig(files[1], folder / "mine.toml");
+  EXPECT_EQ(photographs.plan.size(), 61u);
+  EXPECT_FALSE(photographs.absolute_scale);
+}
+
 TEST(RigDescription, UnknownKeysNameTheNearestKnownOne) {
   EXPECT_EQ(error_of(replaced("width_px", "widht_px")), "rig.toml: [camera]: unknown key \"widht_px\"; did you mean \"width_px\"?");
   EXPECT_EQ(error_of(replaced("[camera]", "[camra]")), "rig.toml: unknown key \"camra\"; did you mean \"camera\"?");

@@ -64,6 +64,42 @@ TEST(Measure, IsTheSameAsItsStagesOneByOneOnTheCommittedSession) {
   EXPECT_EQ(read_json(staged / "fit.json").at("lobes"), read_json(measured / "fit.json").at("lobes"));
 }
 
+/// The committed session's frames with a rig file as one writes it for photographs.
+std::string photographs_rig(int bits) {
+  std::string rig = brdf::read_text(tiny_rig());
+  rig.resize(rig.find("[simulation]"));
+  const auto change = [&](const std::string& from, const std::string& to) { rig.replace(rig.find(from), from.size(), to); };
+  change("kind = \"simulated\"", "kind = \"replay\"");
+  change("bits = 12", "bits = " + std::to_string(bits));
+  change("exposures_ms = { from = 0.5, to = 128, count = 3 }\n", "");
+  rig += "[replay]\nframes_per_view = 3\nexposures_s = [0.0005, 0.008, 0.128]\nfiles = [";
+  for (int v = 0; v < 9; ++v)
+    for (int e = 0; e < 3; ++e) rig += "\"L00" + std::to_string(v) + "_E0" + std::to_string(e) + ".tiff\", ";
+  return rig + "]\n";
+}
+
+TEST(Measure, FramesAsPhotographsGiveTheTableOfTheSessionTheyCameFrom) {
+  test::TemporaryFolder folder;
+  const auto committed = test::source_dir() / "data-samples" / "session-tiny", staged = folder / "staged", session = folder / "photographs", rig = folder / "mine.toml";
+  std::filesystem::copy(committed, staged, std::filesystem::copy_options::recursive);
+  test::write_file(rig, photographs_rig(12));
+  const std::string replay = "capture " + quoted(rig) + " --data " + quoted(committed / "frames") + " -o ";
+  for (const std::string& command : {replay + quoted(session), "merge " + quoted(session), "tabulate " + quoted(session), "merge " + quoted(staged), "tabulate " + quoted(staged)}) {
+    const auto result = run_lacquer(command);
+    ASSERT_EQ(result.exit_code, 0) << command << result.err;
+  }
+  const brdf::HalfAngleTable a = brdf::read_table(staged / "table.exr"), b = brdf::read_table(session / "table.exr");
+  for (std::size_t c = 0; c < 3; ++c) {
+    EXPECT_EQ(a.channels[c].mean, b.channels[c].mean);
+    EXPECT_EQ(a.channels[c].variance, b.channels[c].variance);
+  }
+  // A false statement ends it, with nothing said of lights and motors.
+  test::write_file(rig, photographs_rig(8));
+  const auto result = run_lacquer("-q " + replay + quoted(folder / "wrong"));
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_NE(result.err.find("expected 8 bits, at most 255; are the bits right?\nlacquer: after a change of the rig file: into another folder; else resume with: lacquer "), std::string::npos) << result.err;
+}
+
 TEST(Measure, GivesTheSameTableAndFitOnOneProcessorAndOnAll) {
   if (std::system("taskset -c 0 true >/dev/null 2>&1") != 0) GTEST_SKIP() << "SKIPPED LOUDLY: taskset is not here";
   test::TemporaryFolder folder;
