@@ -4,6 +4,8 @@
 #include <sys/mman.h>
 #endif
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <cassert>
 #include <cmath>
@@ -105,14 +107,15 @@ TableAccumulator::TableAccumulator(std::size_t n_channels) {
   // In large pages where the system has them, and written once: otherwise every page costs a fault when it is first read and another one,
   // at which all processors stop for a moment, when it is first written.
   constexpr std::size_t page = std::size_t{2} << 20;
-  const std::size_t bytes = (reachable_cells().size() * sizeof(CellSums) + page - 1) / page * page;
+  const std::size_t bytes = ((reachable_cells().size() + 1) * sizeof(CellSums) + page - 1) / page * page;
   for (std::size_t c = 0; c < n_channels; ++c) {
     channels_.emplace_back(static_cast<CellSums*>(std::aligned_alloc(page, bytes)));
     if (!channels_.back()) throw std::bad_alloc();
 #ifdef __linux__
     madvise(channels_.back().get(), bytes, MADV_HUGEPAGE);
 #endif
-    std::memset(static_cast<void*>(channels_.back().get()), 0, bytes);
+    char* const memory = reinterpret_cast<char*>(channels_.back().get());
+    tbb::parallel_for(std::size_t{0}, bytes / page, [&](std::size_t i) { std::memset(memory + i * page, 0, page); });
   }
 }
 

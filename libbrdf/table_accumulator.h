@@ -45,8 +45,8 @@ struct alignas(16) CellSums {
     count = (count + s.count) & 0x7fffffffu;
   }
 
-  /// The same for one value, four numbers at a time. `first`: variance, theta_h, theta_d, phi_d; `second`: along, across, mixed, 0.
-  void add_value(double w, double weighted_value, const float (&first)[4], const float (&second)[4]) {
+  /// The same for one value, four numbers at a time. `others`: any float, then theta_h to mixed as above, then 0.
+  void add_value(float w, float weighted_value, float its_variance, const float* others) {
     typedef double Double2 __attribute__((vector_size(16)));
     typedef float Float4 __attribute__((vector_size(16)));
     typedef std::int32_t Int32x4 __attribute__((vector_size(16)));
@@ -56,13 +56,14 @@ struct alignas(16) CellSums {
     std::memcpy(&sums, &weight, sizeof sums);
     std::memcpy(&place, &variance, sizeof place);
     std::memcpy(&spread, &along, sizeof spread);
-    std::memcpy(&more_place, first, sizeof more_place);
-    std::memcpy(&more_spread, second, sizeof more_spread);
+    std::memcpy(&more_place, others, sizeof more_place);
+    std::memcpy(&more_spread, others + 4, sizeof more_spread);
     sums += Double2{w, weighted_value};
+    more_place[0] = its_variance;
     place += more_place;
     const Int32x4 floats{-1, -1, -1, 0}, counted = (Int32x4)spread + Int32x4{0, 0, 0, 1};
-    spread = (Float4)((Int32x4)spread & floats) + (Float4)((Int32x4)more_spread & floats);
-    const Int32x4 both = ((Int32x4)spread & floats) | (counted & ~floats);
+    spread = (Float4)((Int32x4)spread & floats) + more_spread;
+    const Int32x4 both = (Int32x4)spread | (counted & ~floats);
     std::memcpy(&weight, &sums, sizeof sums);
     std::memcpy(&variance, &place, sizeof place);
     std::memcpy(&along, &both, sizeof both);
@@ -103,14 +104,8 @@ class TableAccumulator {
   /// One clipped measurement: f_r is at least `bound`, whose noise has `variance`. See TableChannel.
   void add_bound(std::size_t channel, const HalfDiff& c, double bound, double variance, double weight, const Footprint<double>& footprint = {});
 
-  /// Adds to the cell of this slot of reachable_cells().
-  void add(std::size_t channel, std::uint32_t slot, const CellSums& sums) { channels_[channel][slot].add(sums); }
-  CellSums& cell(std::size_t channel, std::uint32_t slot) { return channels_[channel][slot]; }
-  void prefetch(std::size_t channel, std::uint32_t slot) const {
-    const CellSums& sums = channels_[channel][slot];
-    __builtin_prefetch(&sums, 1);
-    __builtin_prefetch(&sums.mixed, 1);  // a cell may lie in two cache lines
-  }
+  /// By slot of reachable_cells(); one more, for what belongs nowhere.
+  CellSums* cells(std::size_t channel) { return channels_[channel].get(); }
 
   /// The table; the accumulator is empty afterwards, because both at once would be large. Mirror symmetry f(phi_d) = f(pi - phi_d): with
   /// `symmetrise`, empty cells take the mirror cell's value, flagged `symmetric`.

@@ -6,10 +6,12 @@
 #include <cstring>
 
 /// Short vectors with exp and log for the loops that evaluate the model in bulk. Each operation is one IEEE operation per lane, never a
-/// fused one, so that a loop compiled for SSE2 and for AVX2 gives the same bytes. Everything is inlined into the loop, whose function
+/// fused one (but under LACQUER_TARGET_AVX2_FMA), so that a loop compiled for SSE2 and for AVX2 gives the same bytes. Everything is inlined into the loop, whose function
 /// carries the target attribute; include this in .cpp files only.
 #if defined(__x86_64__) && defined(__GNUC__)
 #define LACQUER_TARGET_AVX2 __attribute__((target("avx2")))
+/// The compiler may fuse multiplications and additions here: other last digits than on a processor without.
+#define LACQUER_TARGET_AVX2_FMA __attribute__((target("avx2,fma")))
 #endif
 #define LACQUER_ALWAYS_INLINE inline __attribute__((always_inline))
 #ifndef __clang__

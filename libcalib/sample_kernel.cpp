@@ -4,6 +4,7 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <numbers>
+#include <utility>
 
 #include "libbrdf/table_accumulator.h"
 #include "libbrdf/vector_math.h"
@@ -23,6 +24,7 @@ using brdf::select;
 using brdf::splat;
 using brdf::store;
 using brdf::UInt32x8;
+using Grid = brdf::TableGrid;
 
 constexpr float pi = std::numbers::pi_v<float>;
 constexpr std::size_t width = SampleBlock::width;
@@ -51,31 +53,35 @@ LACQUER_ALWAYS_INLINE Wide operator*(const Wide& a, const Wide& b) { return {a.l
 LACQUER_ALWAYS_INLINE Float8 narrow(const Wide& x) {
   return __builtin_shufflevector(__builtin_convertvector(x.low, Float4), __builtin_convertvector(x.high, Float4), 0, 1, 2, 3, 4, 5, 6, 7);
 }
+typedef std::int32_t Int32x4 __attribute__((vector_size(16)));
+/// In steps of PixelGroup::normal_step; what it is multiplied by is to be as much smaller.
 struct Normal {
   Wide x, y, z;
 };
-LACQUER_ALWAYS_INLINE Wide load_wide(const double* from) { return {load<Double4>(from), load<Double4>(from + 4)}; }
+LACQUER_ALWAYS_INLINE Wide load_wide(const std::int32_t* from) {
+  return {__builtin_convertvector(load<Int32x4>(from), Double4), __builtin_convertvector(load<Int32x4>(from + 4), Double4)};
+}
 LACQUER_ALWAYS_INLINE Normal load_normal(const PixelGroup& p) { return {load_wide(p.normal[0]), load_wide(p.normal[1]), load_wide(p.normal[2])}; }
 struct DoubleVector {
   Double4 x, y, z;
-  explicit DoubleVector(const glm::dvec3& v) : x(brdf::splat(v.x)), y(brdf::splat(v.y)), z(brdf::splat(v.z)) {}
+  explicit DoubleVector(const glm::dvec3& v)
+      : x(brdf::splat(v.x * PixelGroup::normal_step)), y(brdf::splat(v.y * PixelGroup::normal_step)), z(brdf::splat(v.z * PixelGroup::normal_step)) {}
 };
 LACQUER_ALWAYS_INLINE Wide dot(const Normal& n, const DoubleVector& v) { return n.x * wide(v.x) + n.y * wide(v.y) + n.z * wide(v.z); }
 
-/// atan(y / x) for x, y >= 0, in [0, pi/2]; 0 for 0 / 0. Above tan(pi/8): pi/4 + atan((a - 1) / (a + 1)); the polynomial is the
-/// Chebyshev interpolant of atan(z) / z in z^2 (error 2e-8).
-LACQUER_ALWAYS_INLINE Float8 arctangent(Float8 y, Float8 x) {
-  const Int32x8 steep = y > x;
-  const Float8 small = minimum(x, y), large = maximum(maximum(x, y), splat(1e-30f));
-  const Int32x8 wide = small > large * splat(0.41421356f);
-  const Float8 z = select(wide, small - large, small) / select(wide, small + large, large), u = z * z;
-  Float8 p = splat(0.0797629181f);
-  p = p * u - splat(0.138484902f);
-  p = p * u + splat(0.199740824f);
-  p = p * u - splat(0.333327858f);
-  p = p * u + splat(0.999999981f);
-  const Float8 a = p * z + select(wide, splat(pi / 4), splat(0.0f));
-  return select(steep, splat(pi / 2) - a, a);
+/// Angle of sine `y` and cosine `x`, both >= 0, in [0, pi/2], from the smaller one: the Chebyshev interpolant of asin(z) / z in z^2 (error 1.5e-8).
+LACQUER_ALWAYS_INLINE Float8 angle_of(Float8 y, Float8 x) {
+  const Float8 z = minimum(x, y), u = z * z;
+  Float8 p = splat(0.109964259f);
+  p = p * u - splat(0.0905528898f);
+  p = p * u + splat(0.0758322594f);
+  p = p * u + splat(0.0166412983f);
+  p = p * u + splat(0.046494938f);
+  p = p * u + splat(0.0748801093f);
+  p = p * u + splat(0.166669575f);
+  p = p * u + splat(0.999999989f);
+  const Float8 a = p * z;
+  return select(y > x, splat(pi / 2) - a, a);
 }
 
 /// (1 - x)^g for x in [0, 0.2]: ln(1 - x) = 2 artanh(-x / (2 - x)), e^y by powers of two and Taylor's series.
@@ -109,74 +115,63 @@ LACQUER_ALWAYS_INLINE CellOf cell_of(Float8 x, int n, float rounding_doubt, floa
 
 /// What is the same for all pixels of a view, in every lane: the compiler would otherwise spread it again for every group.
 struct Constants {
-  DoubleVector light, camera, axis, camera_x_light;
-  Double4 surface;          // the light stands at n . light - surface in front of the tangent plane
+  DoubleVector light, camera, camera_x_light;
+  Double4 surface;                     // the light stands at n . light - surface in front of the tangent plane
   Double4 light_distance2, two_radii;  // distance^2 to a point is the first less the second times (n . light)
-  Double4 light_dot_camera, light_dot_axis, radius_in_double;
-  Float8 radius, lowest_cosine, safe_cosine, blur2, emitter, narrow2, nine_narrow2, inverse_reference, half_exponent;
-  bool distant, has_falloff, has_emitter;
+  Double4 light_dot_camera, camera_surface;
+  Float8 off_axis[2][4], along_axis[4];  // the first three times the normal and the fourth: how far off the light's axis in two directions, and along it
+  Float8 light_radius, camera_radius, lowest_cosine, safe_cosine, emitter, narrow2, nine_narrow2, inverse_reference, half_exponent;
+  Float8 series_reach, binomial[7];  // of (1 - x)^half_exponent; the first times x
+  bool distant, has_falloff, has_emitter, surely_ahead = true;
   const brdf::ReachableCells* cells = &brdf::reachable_cells();
+  std::uint32_t no_slot = cells->size();
   explicit Constants(const KernelView& v)
-      : light(v.light), camera(v.camera), axis(v.axis), camera_x_light(glm::cross(v.camera, v.light)),
+      : light(v.light), camera(v.camera), camera_x_light(glm::cross(v.camera, v.light)),
         surface(brdf::splat(v.distant ? 0 : v.sphere_radius)),
         light_distance2(brdf::splat(glm::dot(v.light, v.light) + v.sphere_radius * v.sphere_radius)),
         two_radii(brdf::splat(2 * v.sphere_radius)),
         light_dot_camera(brdf::splat(glm::dot(v.light, v.camera))),
-        light_dot_axis(brdf::splat(glm::dot(v.light, v.axis))),
-        radius_in_double(brdf::splat(v.sphere_radius)),
-        radius(splat(static_cast<float>(v.sphere_radius))),
+        camera_surface(brdf::splat(v.central ? v.sphere_radius : 0)),
+        light_radius(splat(v.distant ? 0.0f : static_cast<float>(v.sphere_radius))),
+        camera_radius(splat(v.central ? static_cast<float>(v.sphere_radius) : 0.0f)),
         lowest_cosine(splat(v.min_cosine - rounding)),
         safe_cosine(splat(v.min_cosine + rounding)),
-        blur2(splat(v.blur2)),
         emitter(splat(v.diameter * v.diameter / 64)),
         narrow2(splat(v.narrowest_m * v.narrowest_m)),
         nine_narrow2(splat(9 * v.narrowest_m * v.narrowest_m)),
-        inverse_reference(splat(1 / v.reference)),
+        inverse_reference(splat(v.distant ? 1.0f : 1 / v.reference)),
         half_exponent(splat(v.falloff_exponent / 2)),
-        distant(v.distant), has_falloff(!v.distant && v.falloff_exponent != 0), has_emitter(!v.distant && v.diameter > 0) {}
-};
-
-struct Spread {
-  Float8 along, across, mixed;
+        distant(v.distant), has_falloff(!v.distant && v.falloff_exponent != 0), has_emitter(!v.distant && v.diameter > 0) {
+    if (!has_falloff) return;
+    const auto plane = [&](const glm::dvec3& a, Float8 (&to)[4]) {
+      for (int i = 0; i < 3; ++i) to[i] = splat(static_cast<float>(v.sphere_radius * a[i] * PixelGroup::normal_step));
+      to[3] = splat(static_cast<float>(-glm::dot(v.light, a)));
+    };
+    const CameraFrame across = camera_frame(v.axis, std::abs(v.axis.x) < 0.5 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0));
+    plane(across.x, off_axis[0]);
+    plane(across.y, off_axis[1]);
+    plane(v.axis, along_axis);
+    surely_ahead = -glm::dot(v.light, v.axis) > v.sphere_radius;
+    series_reach = splat(std::max(v.falloff_exponent / 2, 2.0f));
+    double term = 1;
+    for (int k = 0; k < 7; ++k) {
+      binomial[k] = splat(static_cast<float>(term));
+      term *= -(static_cast<double>(v.falloff_exponent) / 2 - k) / (k + 1);
+    }
+  }
 };
 
 /// The pixels of a few groups between the stages below, which are short so that the processor can work on several groups at a time.
 /// Directions are in the camera frame of each pixel: light (light_x, light_y, cos_i), camera (sin_o, 0, cos_o).
 struct Columns {
-  static constexpr std::size_t size = 64;
+  static constexpr std::size_t size = SpherePixels::per_cap;
   typedef float Column[size];
-  alignas(32) Column cos_i, light_x, light_y, inverse_light_distance, falloff_sin2;
-  Column sin_h, length;  // the first times the second, which is that of the sum of both directions
-  Column theta_h, theta_d, phi_d, offset_h, offset_d, offset_p, along, across, mixed;
-  alignas(32) std::int32_t lit[size], doubtful[size], blurred[size], cell[size];
+  alignas(32) Column cos_i, cos_o, light_x, light_y, inverse_light_distance, weight;
+  Column sin_h, inverse_length, inverse_sin_h, cos_phi, sin_phi;  // the length is that of the sum of both directions
+  Column theta_h, theta_d, phi_d, offset_h, offset_d, offset_p, centre_h, along, across, mixed;
+  alignas(32) std::int32_t lit[size], doubtful[size], blurred[size], row[size], phi_cell[size], slot[size];
 };
 LACQUER_ALWAYS_INLINE Int32x8 load_mask(const std::int32_t* from) { return load<Int32x8>(from); }
-
-/// In the camera frame; `e` the unit vector along the half vector's tangential part.
-struct Local {
-  Float8 x, y, sin_o, sin_h, length, inverse_length, e_x, e_y;
-  Float8 per_light, per_camera;  // sphere's radius over the distance
-};
-
-/// Of the half vector's slope over pixel and lens blur; see half_vector_footprint, whose equations these are.
-LACQUER_ALWAYS_INLINE Spread pixel_spread(const PixelGroup& p, const Constants& view, const Local& t) {
-  Spread v{splat(0.0f), splat(0.0f), splat(0.0f)};
-  const Float8 light_along = t.x * t.e_x + t.y * t.e_y, camera_along = t.sin_o * t.e_x, camera_across = splat(0.0f) - t.sin_o * t.e_y;
-  const Float8 cos_d = t.length * splat(0.5f);
-  for (int axis = 0; axis < 2; ++axis) {
-    const Float8 x = load<Float8>(p.step[axis][0]), y = load<Float8>(p.step[axis][1]);
-    const Float8 along = x * t.e_x + y * t.e_y, across = y * t.e_x - x * t.e_y;
-    const Float8 of_light = t.x * x + t.y * y, of_camera = t.sin_o * x, of_half = (of_light + of_camera) * t.inverse_length;
-    const Float8 turn = t.per_light * (of_light * light_along - along) + t.per_camera * (of_camera * camera_along - along);
-    const Float8 turn_across = t.per_camera * (of_camera * camera_across - across) - t.per_light * (of_light * camera_across + across);
-    const Float8 turn_half = t.per_light * (of_light * cos_d - of_half) + t.per_camera * (of_camera * cos_d - of_half);
-    const Float8 a = (turn - t.sin_h * turn_half) * t.inverse_length - along, b = turn_across * t.inverse_length - across;
-    v.along += a * a;
-    v.across += b * b;
-    v.mixed += a * b;
-  }
-  return {v.along * view.blur2, v.across * view.blur2, v.mixed * view.blur2};
-}
 
 LACQUER_ALWAYS_INLINE Float8 low_pairs(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13); }
 LACQUER_ALWAYS_INLINE Float8 high_pairs(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15); }
@@ -195,35 +190,55 @@ LACQUER_ALWAYS_INLINE void store_transposed(const Float8 (&c)[8], PixelSample* t
   }
 }
 
-/// First stage, of eight pixels: their light; false where none reaches any of them.
-LACQUER_ALWAYS_INLINE bool light_pixels(const PixelGroup& p, const Constants& view, Columns& c, std::size_t to) {
+/// (1 - sin^2 of the angle off the light's axis)^(exponent / 2).
+LACQUER_ALWAYS_INLINE Float8 falloff(const PixelGroup& p, const Constants& view, Float8 inverse_light_distance, Int32x8& doubtful) {
+  const auto component = [&](int i) { return __builtin_convertvector(load<Int32x8>(p.normal[i]), Float8); };
+  const Float8 x = component(0), y = component(1), z = component(2);
+  Float8 sin2 = splat(0.0f);
+  for (const auto& a : view.off_axis) {
+    const Float8 off = (a[0] * x + a[1] * y + a[2] * z + a[3]) * inverse_light_distance;
+    sin2 += off * off;
+  }
+  if (!view.surely_ahead) {
+    const auto& a = view.along_axis;
+    doubtful |= a[0] * x + a[1] * y + a[2] * z + a[3] < splat(0.0f);
+  }
+  if (!any(sin2 * view.series_reach > splat(0.2f))) {  // the series' first term left out is below 3e-9
+    Float8 power = view.binomial[6];
+    for (int k = 5; k >= 0; --k) power = power * sin2 + view.binomial[k];
+    return power;
+  }
+  doubtful |= sin2 > splat(0.2f);
+  return power_of_one_minus(minimum(sin2, splat(0.2f)), view.half_exponent);
+}
+
+/// First stage, of eight pixels: their light; false where none reaches any of the first `n`.
+LACQUER_ALWAYS_INLINE bool light_pixels(const PixelGroup& p, std::size_t n_pixels, const Constants& view, Columns& c, std::size_t to) {
   const Normal n = load_normal(p);
   const Wide n_dot_light = dot(n, view.light);
   Float8 cos_i = narrow(n_dot_light - wide(view.surface)), inverse_light_distance = splat(1.0f);
-  Wide distance2{};
   if (!view.distant) {
-    distance2 = wide(view.light_distance2) - wide(view.two_radii) * n_dot_light;
-    inverse_light_distance = splat(1.0f) / root(narrow(distance2));
+    inverse_light_distance = splat(1.0f) / root(narrow(wide(view.light_distance2) - wide(view.two_radii) * n_dot_light));
     cos_i = cos_i * inverse_light_distance;
   }
-  const Int32x8 lit = cos_i > view.lowest_cosine;
+  Int32x8 lit = cos_i > view.lowest_cosine;
+  if (n_pixels < width) lit &= Int32x8{0, 1, 2, 3, 4, 5, 6, 7} < static_cast<std::int32_t>(n_pixels);
   if (!any(lit)) return false;
   Int32x8 doubtful = (cos_i < view.safe_cosine) | (load<Float8>(p.sin_o) < splat(1e-3f));
 
   // The light's parts across the normal are small differences near the middle of the sphere.
+  const Wide n_dot_camera = dot(n, view.camera);
   const Float8 scale = load<Float8>(p.inverse_rim) * inverse_light_distance;
-  store(c.light_x + to, narrow(wide(view.light_dot_camera) - n_dot_light * dot(n, view.camera)) * scale);
+  store(c.light_x + to, narrow(wide(view.light_dot_camera) - n_dot_light * n_dot_camera) * scale);
   store(c.light_y + to, narrow(dot(n, view.camera_x_light)) * scale);
-  if (view.has_falloff) {
-    const Wide along_axis = wide(view.light_dot_axis) - wide(view.radius_in_double) * dot(n, view.axis);  // minus distance times cosine
-    const Float8 sin2 = narrow(distance2 - along_axis * along_axis) * inverse_light_distance * inverse_light_distance;
-    doubtful |= (sin2 > splat(0.2f)) | (narrow(along_axis) > splat(0.0f));
-    store(c.falloff_sin2 + to, minimum(maximum(sin2, splat(0.0f)), splat(0.2f)));
-  }
+  store(c.cos_o + to, narrow(n_dot_camera - wide(view.camera_surface)) * load<Float8>(p.inverse_distance));
+  Float8 weight = cos_i * (inverse_light_distance * inverse_light_distance) * view.inverse_reference;
+  if (view.has_falloff) weight = weight * falloff(p, view, inverse_light_distance, doubtful);
+  store(c.weight + to, weight);
   store(c.cos_i + to, cos_i);
   store(c.inverse_light_distance + to, inverse_light_distance);
   store(c.lit + to, lit);
-  store(c.doubtful + to, doubtful & lit);
+  store(c.doubtful + to, doubtful);
   return true;
 }
 
@@ -231,129 +246,181 @@ LACQUER_ALWAYS_INLINE bool light_pixels(const PixelGroup& p, const Constants& vi
 /// directions is normal to h, its part along theta is -(cos_i - cos_o) / sin(theta_h).
 LACQUER_ALWAYS_INLINE void angles(const PixelGroup& p, Columns& c, std::size_t k) {
   const Float8 zero = splat(0.0f), cos_i = load<Float8>(c.cos_i + k), light_x = load<Float8>(c.light_x + k), light_y = load<Float8>(c.light_y + k);
-  const Float8 cos_o = load<Float8>(p.cos_o), sin_o = load<Float8>(p.sin_o);
-  const Float8 along_normal = maximum(cos_i + cos_o, zero), along_x = light_x + sin_o, across_x = light_x - sin_o, descent = cos_i - cos_o;
+  const Float8 cos_o = load<Float8>(c.cos_o + k), sin_o = load<Float8>(p.sin_o);
+  const Float8 along_normal = maximum(cos_i + cos_o, zero), along_x = light_x + sin_o, across_x = light_x - sin_o, descent = cos_o - cos_i;
   const Float8 y2 = light_y * light_y, tangential2 = along_x * along_x + y2;
-  const Float8 sin_h = root(tangential2), length = root(tangential2 + along_normal * along_normal);
-  const Float8 sin_d = root(across_x * across_x + y2 + descent * descent);
-  const Float8 theta_h = arctangent(sin_h, along_normal), theta_d = arctangent(sin_d, length);
-  const Float8 y = splat(2.0f) * sin_o * light_y, x = zero - descent * length;
-  const Float8 steep_phi = arctangent(absolute(y), absolute(x));
+  const Float8 sin_h = root(tangential2), length = root(tangential2 + along_normal * along_normal);  // the first times the second
+  const Float8 sin_d = root(across_x * across_x + y2 + descent * descent);                            // of twice the length
+  const Float8 product = sin_h * sin_d, inverse = splat(1.0f) / (product * length + splat(1e-30f));
+  const Float8 inverse_length = inverse * product, inverse_product = inverse * length;
+  const Float8 cos_phi = descent * length * inverse_product, sin_phi = splat(2.0f) * sin_o * light_y * inverse_product;
+  const Float8 steep_phi = angle_of(absolute(sin_phi), absolute(cos_phi));
   store(c.sin_h + k, sin_h);
-  store(c.length + k, length);
-  store(c.theta_h + k, theta_h);
-  store(c.theta_d + k, theta_d);
-  store(c.phi_d + k, select((x < zero) ^ (y < zero), splat(pi) - steep_phi, steep_phi));
+  store(c.inverse_length + k, inverse_length);
+  store(c.inverse_sin_h + k, inverse_product * sin_d);
+  store(c.cos_phi + k, cos_phi);
+  store(c.sin_phi + k, sin_phi);
+  store(c.theta_h + k, angle_of(sin_h * inverse_length, along_normal * inverse_length));
+  store(c.theta_d + k, angle_of(sin_d * splat(0.5f), length * splat(0.5f)));
+  store(c.phi_d + k, select((cos_phi < zero) ^ (sin_phi < zero), splat(pi) - steep_phi, steep_phi));
+  store(c.along + k, product);
 }
 
 /// Cells, and offsets from their centres.
 LACQUER_ALWAYS_INLINE void cells(Columns& c, std::size_t k) {
-  using Grid = brdf::TableGrid;
   constexpr float n_h = Grid::n_theta_h, n_d = Grid::n_theta_d, n_p = Grid::n_phi_d;
   const Float8 theta_h = load<Float8>(c.theta_h + k), theta_d = load<Float8>(c.theta_d + k), phi_d = load<Float8>(c.phi_d + k);
-  const Float8 root_h = root(theta_h * splat(2 / pi)), sin_d = theta_d * splat(4 / pi);  // of which the length is at least that
+  const Float8 root_h = root(theta_h * splat(2 / pi));
   const CellOf h = cell_of(root_h * splat(n_h), Grid::n_theta_h, 2e-5f, rounding * n_h / pi, root_h + splat(1e-6f));
   const CellOf d = cell_of(theta_d * splat(2 / pi * n_d), Grid::n_theta_d, 0, 2e-5f + rounding * 60, splat(1.0f));
-  const CellOf q = cell_of(phi_d * splat(1 / pi * n_p), Grid::n_phi_d, 4e-5f, 8 * rounding / pi * n_p, load<Float8>(c.sin_h + k) * sin_d + splat(1e-12f));
-  const Float8 root_centre = (h.cell + splat(0.5f)) * splat(1 / n_h);
-  store(c.offset_h + k, theta_h - root_centre * root_centre * splat(pi / 2));
+  const CellOf q = cell_of(phi_d * splat(1 / pi * n_p), Grid::n_phi_d, 4e-5f, 8 * rounding / pi * n_p, load<Float8>(c.along + k) + splat(1e-12f));
+  const Float8 root_centre = (h.cell + splat(0.5f)) * splat(1 / n_h), centre_h = root_centre * root_centre * splat(pi / 2);
+  store(c.centre_h + k, centre_h);
+  store(c.offset_h + k, theta_h - centre_h);
   store(c.offset_d + k, theta_d - (d.cell + splat(0.5f)) * splat(pi / 2 / n_d));
   store(c.offset_p + k, phi_d - (q.cell + splat(0.5f)) * splat(pi / n_p));
-  store(c.cell + k, __builtin_convertvector(h.cell, Int32x8) << 16 | __builtin_convertvector(d.cell, Int32x8) << 8 | __builtin_convertvector(q.cell, Int32x8));
-  store(c.doubtful + k, load_mask(c.doubtful + k) | ((h.doubtful | d.doubtful | q.doubtful) & load_mask(c.lit + k)));
+  store(c.row + k, __builtin_convertvector(h.cell * splat(n_d) + d.cell, Int32x8));
+  store(c.phi_cell + k, __builtin_convertvector(q.cell, Int32x8));
+  store(c.doubtful + k, load_mask(c.doubtful + k) | h.doubtful | d.doubtful | q.doubtful);
 }
 
-/// Footprint, and whether it exceeds a narrow peak.
+/// Footprint, and whether it exceeds a narrow peak. half_vector_footprint written in the half vector's own axes, e along its tangential part:
+/// moved by t on the unit sphere, its slope changes by G (kappa . t) - (1 + cos^2(theta_h) P) (e . t) along and by
+/// B (kappa . t) - (1 + P) (e' . t) across, with kappa the difference of both directions' parts across the normal, each times the sphere's radius
+/// over its distance, P the sum of these two over the length of the directions' sum, G and B parts of the directions' difference over it.
 LACQUER_ALWAYS_INLINE void footprint(const PixelGroup& p, const Constants& view, Columns& c, std::size_t k) {
-  const Float8 zero = splat(0.0f), one = splat(1.0f), tiny = splat(1e-30f);
-  const Float8 cos_o = load<Float8>(p.cos_o), sin_o = load<Float8>(p.sin_o);
-  const Float8 light_x = load<Float8>(c.light_x + k), light_y = load<Float8>(c.light_y + k), sin_h = load<Float8>(c.sin_h + k);
-  const Float8 length = load<Float8>(c.length + k), inverse_length = one / (length + tiny), inverse_sin = one / (sin_h + tiny);
+  for (std::size_t i = k; i < k + width; ++i) c.slot[i] = static_cast<std::int32_t>(view.cells->slot(c.row[i], c.phi_cell[i]));
+  const Float8 one = splat(1.0f), half = splat(0.5f);
+  const Float8 sin_o = load<Float8>(p.sin_o), light_x = load<Float8>(c.light_x + k), light_y = load<Float8>(c.light_y + k);
+  const Float8 sin_h = load<Float8>(c.sin_h + k), inverse_length = load<Float8>(c.inverse_length + k), inverse_sin_h = load<Float8>(c.inverse_sin_h + k);
   const Float8 inverse_light_distance = load<Float8>(c.inverse_light_distance + k);
-  Spread v = pixel_spread(p, view,
-                          {light_x, light_y, sin_o, sin_h * inverse_length, length, inverse_length, (light_x + sin_o) * inverse_sin, light_y * inverse_sin,
-                           view.distant ? zero : view.radius * inverse_light_distance, view.radius * load<Float8>(p.inverse_distance)});
+  const Float8 per_light = view.light_radius * inverse_light_distance, per_camera = view.camera_radius * load<Float8>(p.inverse_distance);
+  const Float8 e_x = (light_x + sin_o) * inverse_sin_h, e_y = light_y * inverse_sin_h;
+  const Float8 kappa_x = per_light * light_x - per_camera * sin_o, kappa_y = per_light * light_y;
+  const Float8 turn = (per_light + per_camera) * inverse_length, sine = sin_h * inverse_length;
+  const Float8 g = (half * sin_h - sin_o * e_x) * inverse_length, b = sin_o * e_y * inverse_length;
+  const Float8 stay_along = one + turn - turn * sine * sine, stay_across = one + turn;
+  const Float8 along_x = g * kappa_x - stay_along * e_x, along_y = g * kappa_y - stay_along * e_y;
+  const Float8 across_x = b * kappa_x + stay_across * e_y, across_y = b * kappa_y - stay_across * e_x;
+  const Float8 xx = load<Float8>(p.spread[0]), yx = load<Float8>(p.spread[1]), yy = load<Float8>(p.spread[2]);
+  const Float8 along_1 = along_x * xx + along_y * yx, along_2 = along_y * yy, across_1 = across_x * xx + across_y * yx, across_2 = across_y * yy;
+  Float8 along = along_1 * along_1 + along_2 * along_2, across = across_1 * across_1 + across_2 * across_2, mixed = along_1 * across_1 + along_2 * across_2;
   if (view.has_emitter) {
     const Float8 in_plane = view.emitter * inverse_light_distance * inverse_light_distance;
     const Float8 off_plane = in_plane * splat(4.0f) * inverse_length * inverse_length;  // 1 / cos^2(theta_d)
-    const Float8 y = splat(2.0f) * sin_o * light_y, x = (cos_o - load<Float8>(c.cos_i + k)) * length;  // of phi_d
-    const Float8 xx = x * x, yy = y * y, inverse = one / (xx + yy + tiny), c2 = xx * inverse, s2 = yy * inverse;
-    v.along += in_plane * c2 + off_plane * s2;
-    v.across += in_plane * s2 + off_plane * c2;
-    v.mixed += (in_plane - off_plane) * (x * y * inverse);
+    const Float8 cos_phi = load<Float8>(c.cos_phi + k), difference = (in_plane - off_plane) * cos_phi;
+    along += off_plane + difference * cos_phi;
+    across += in_plane - difference * cos_phi;
+    mixed += difference * load<Float8>(c.sin_phi + k);
   }
-  const Float8 theta_h = load<Float8>(c.theta_h + k), half_difference = (v.along - v.across) * splat(0.5f);
-  const Float8 larger = (v.along + v.across) * splat(0.5f) + root(half_difference * half_difference + v.mixed * v.mixed);
-  const Float8 beyond_m = larger - view.narrow2, peak = view.nine_narrow2 + larger * splat(18.0f), beyond_peak = theta_h * theta_h - peak;
-  const Int32x8 doubtful = (absolute(beyond_m) < splat(1e-4f) * larger) | ((beyond_m > zero) & (absolute(beyond_peak) < splat(1e-4f) * peak));
-  store(c.along + k, v.along);
-  store(c.across + k, v.across);
-  store(c.mixed + k, v.mixed);
-  store(c.blurred + k, (beyond_m > zero) & (beyond_peak < zero));
-  store(c.doubtful + k, load_mask(c.doubtful + k) | (doubtful & load_mask(c.lit + k)));
+  store(c.along + k, along);
+  store(c.across + k, across);
+  store(c.mixed + k, mixed);
+  const Float8 theta_h = load<Float8>(c.theta_h + k), sum = along + across;
+  Int32x8 blurred = {};
+  if (any(theta_h * theta_h < view.nine_narrow2 * splat(1.001f) + sum * splat(18.02f))) {  // the larger variance is at most the sum
+    const Float8 half_difference = (along - across) * half, larger = sum * half + root(half_difference * half_difference + mixed * mixed);
+    const Float8 beyond_m = larger - view.narrow2, peak = view.nine_narrow2 + larger * splat(18.0f), beyond_peak = theta_h * theta_h - peak;
+    blurred = (beyond_m > splat(0.0f)) & (beyond_peak < splat(0.0f));
+    store(c.doubtful + k, load_mask(c.doubtful + k) | (absolute(beyond_m) < splat(1e-4f) * larger) |
+                              ((beyond_m > splat(0.0f)) & (absolute(beyond_peak) < splat(1e-4f) * peak)));
+  }
+  store(c.blurred + k, blurred);
 }
 
-/// Last stage: irradiance relative to that on the light's axis at the sphere's centre, and what that weighs.
-LACQUER_ALWAYS_INLINE void weigh(const Constants& view, const Columns& c, std::size_t k, PixelSample* to) {
-  Float8 weight = load<Float8>(c.cos_i + k);
-  if (!view.distant) {
-    const Float8 inverse_light_distance = load<Float8>(c.inverse_light_distance + k);
-    weight = weight * (inverse_light_distance * inverse_light_distance) * view.inverse_reference;
-    if (view.has_falloff) weight = weight * power_of_one_minus(load<Float8>(c.falloff_sin2 + k), view.half_exponent);
+/// Last stage: what CellSums adds up, and where.
+LACQUER_ALWAYS_INLINE void weigh(const Constants& view, Columns& c, std::size_t k, PixelSample* to, std::uint32_t* slot) {
+  const Float8 weight = load<Float8>(c.weight + k), offset_h = load<Float8>(c.offset_h + k), weighted_h = weight * offset_h;
+  Float8 along = weight * load<Float8>(c.along + k);
+  if (any(load<Float8>(c.theta_h + k) < splat(pi / 9))) {
+    Float8 squared_slope;
+    for (std::size_t i = 0; i < width; ++i) squared_slope[i] = view.cells->squared_slope(c.row[k + i] / Grid::n_theta_d);
+    along += squared_slope * (weighted_h * offset_h);
   }
-  const Int32x8 lit = load_mask(c.lit + k), doubtful = load_mask(c.doubtful + k), cell = load_mask(c.cell + k);
-  const Int32x8 fate = (load_mask(c.blurred + k) & lit & ~doubtful & std::int32_t{PixelSample::blurred}) |
-                       (doubtful & std::int32_t{PixelSample::doubtful}) | (~lit & std::int32_t{PixelSample::grazing});
-  Float8 squared_slope;
-  for (std::size_t i = 0; i < width; ++i) squared_slope[i] = view.cells->squared_slope(c.cell[k + i] >> 16);
-  const Float8 offset_h = load<Float8>(c.offset_h + k), weighted_h = weight * offset_h;
   const Float8 columns[8] = {weight, weighted_h, weight * load<Float8>(c.offset_d + k), weight * load<Float8>(c.offset_p + k),
-                             weight * load<Float8>(c.along + k) + squared_slope * (weighted_h * offset_h), weight * load<Float8>(c.across + k),
-                             weight * load<Float8>(c.mixed + k), (Float8)(fate << 24 | cell)};
+                             along, weight * load<Float8>(c.across + k), weight * load<Float8>(c.mixed + k), splat(0.0f)};
   store_transposed(columns, to);
+  const Int32x8 lit = load_mask(c.lit + k), used = lit & ~load_mask(c.doubtful + k) & ~load_mask(c.blurred + k);
+  store(slot, used ? load_mask(c.slot + k) : Int32x8{} + static_cast<std::int32_t>(view.no_slot));
 }
 
-LACQUER_ALWAYS_INLINE void block_body(const PixelGroup* pixels, std::size_t n, const KernelView& view, SampleBlock& block) {
+/// Whether light reaches pixels of a cap of the sphere; see SpherePixels::Cap.
+class Terminator {
+ public:
+  explicit Terminator(const KernelView& v)
+      : light_(v.light), distance_(glm::length(v.light)),
+        lowest_(v.distant ? v.min_cosine : v.sphere_radius + v.min_cosine * (distance_ - v.sphere_radius) - 1e-5 * distance_) {}
+  bool in_shadow(const SpherePixels::Cap& cap) const {
+    const double along = glm::dot(cap.axis, light_);
+    return along < distance_ * cap.cos_angle &&
+           along * cap.cos_angle + std::sqrt(std::max(0.0, distance_ * distance_ - along * along)) * cap.sin_angle < lowest_;  // highest n . light
+  }
+
+ private:
+  glm::dvec3 light_;
+  double distance_, lowest_;
+};
+
+LACQUER_ALWAYS_INLINE void prefetch(const PixelGroup& group) {
+  const auto* bytes = reinterpret_cast<const char*>(&group);
+  for (std::size_t line = 0; line < sizeof(PixelGroup); line += 64) __builtin_prefetch(bytes + line);
+}
+
+LACQUER_ALWAYS_INLINE void block_body(const SpherePixels& all, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block) {
   const Constants constants(view);
+  const PixelGroup* pixels = &all.group(begin);
+  const Terminator terminator(view);
+  const SpherePixels::Cap* const caps = &all.caps[begin / Columns::size];
   Columns c;
-  std::size_t doubts = 0;
-  block.n_groups = 0;
-  for (std::size_t next = 0; next < n;) {
-    const std::size_t first = block.n_groups, end = std::min(n, next + Columns::size);
+  block.n_groups = block.n_doubtful = block.n_blurred = 0;
+  const std::size_t n_caps = (n + Columns::size - 1) / Columns::size;
+  bool dark = terminator.in_shadow(caps[0]);
+  for (std::size_t cap = 0; cap < n_caps; ++cap) {
+    const std::size_t from = cap * Columns::size, first = block.n_groups, end = std::min(n, from + Columns::size);
+    const bool skip = std::exchange(dark, cap + 1 == n_caps || terminator.in_shadow(caps[cap + 1]));
+    // The next pixels, which the processor does not fetch by itself, a few at a time while these are computed.
+    const PixelGroup* const ahead = dark ? nullptr : &pixels[end / width];
+    if (skip) {
+      for (std::size_t g = 0; ahead != nullptr && g < Columns::size / width; ++g) prefetch(ahead[g]);
+      continue;
+    }
     std::uint16_t* const group = block.group + first;
     std::size_t m = 0;  // pixels in the columns
-    for (; next < end; next += width) {
-      const auto* ahead = reinterpret_cast<const char*>(&pixels[next / width] + 4);  // that far the processor does not look itself
-      for (std::size_t line = 0; line < sizeof(PixelGroup); line += 64) __builtin_prefetch(ahead + line);
-      if (light_pixels(pixels[next / width], constants, c, m)) group[m / width] = static_cast<std::uint16_t>(next), m += width;
+    for (std::size_t next = from; next < end; next += width)
+      if (light_pixels(pixels[next / width], end - next, constants, c, m)) group[m / width] = static_cast<std::uint16_t>(next), m += width;
+    for (std::size_t k = 0, g = 0; k < m; k += width) {
+      for (; ahead != nullptr && g * m < (k + width) * Columns::size / width; ++g) prefetch(ahead[g]);
+      angles(pixels[group[k / width] / width], c, k);
     }
-    for (std::size_t k = 0; k < m; k += width) angles(pixels[group[k / width] / width], c, k);
     for (std::size_t k = 0; k < m; k += width) cells(c, k);
     for (std::size_t k = 0; k < m; k += width) footprint(pixels[group[k / width] / width], constants, c, k);
-    for (std::size_t k = 0; k < m; k += width) weigh(constants, c, k, block.sample + first * width + k);
-    for (std::size_t k = 0; k < m; k += width)
-      for (std::size_t i = k; any(load_mask(c.doubtful + k)) && i < k + width; ++i) {
-        block.doubtful[doubts] = static_cast<std::uint16_t>(first * width + i);
-        doubts += c.doubtful[i] != 0 && group[k / width] + i - k < n;
+    for (std::size_t k = 0; k < m; k += width) weigh(constants, c, k, block.sample + first * width + k, block.slot + first * width + k);
+    for (std::size_t k = 0; k < m; k += width) {
+      const Int32x8 lit = load_mask(c.lit + k), doubtful = load_mask(c.doubtful + k) & lit;
+      if (!any(doubtful | (load_mask(c.blurred + k) & lit))) continue;
+      for (std::size_t i = k; i < k + width; ++i) {
+        if (c.lit[i] == 0) continue;
+        if (c.doubtful[i] != 0) block.doubtful[block.n_doubtful++] = static_cast<std::uint16_t>(first * width + i);
+        else block.n_blurred += c.blurred[i] != 0;
       }
+    }
     block.n_groups += m / width;
   }
-  block.n_doubtful = doubts;
 }
 
-using BlockLoop = void(const PixelGroup*, std::size_t, const KernelView&, SampleBlock&);
-void block_baseline(const PixelGroup* pixels, std::size_t n, const KernelView& view, SampleBlock& block) {
-  block_body(pixels, n, view, block);
+using BlockLoop = void(const SpherePixels&, std::size_t, std::size_t, const KernelView&, SampleBlock&);
+void block_baseline(const SpherePixels& pixels, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block) {
+  block_body(pixels, begin, n, view, block);
 }
-#ifdef LACQUER_TARGET_AVX2
-LACQUER_TARGET_AVX2 void block_avx2(const PixelGroup* pixels, std::size_t n, const KernelView& view, SampleBlock& block) {
-  block_body(pixels, n, view, block);
+#ifdef LACQUER_TARGET_AVX2_FMA
+LACQUER_TARGET_AVX2_FMA void block_avx2_fma(const SpherePixels& pixels, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block) {
+  block_body(pixels, begin, n, view, block);
 }
 #endif
 
 BlockLoop* choose_loop([[maybe_unused]] bool vectors) {
-#ifdef LACQUER_TARGET_AVX2
-  if (vectors && __builtin_cpu_supports("avx2")) return block_avx2;
+#ifdef LACQUER_TARGET_AVX2_FMA
+  if (vectors && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return block_avx2_fma;
 #endif
   return block_baseline;
 }
@@ -361,40 +428,8 @@ BlockLoop* block_loop = choose_loop(true);
 
 }  // namespace
 
-CameraFrame camera_frame(const glm::dvec3& n, const glm::dvec3& camera) {
-  const glm::dvec3 tangential = camera - n * glm::dot(n, camera);
-  const double length = glm::length(tangential);
-  const glm::dvec3 any = glm::cross(n, std::abs(n.x) < 0.5 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0));
-  const glm::dvec3 x = length > 1e-9 * glm::length(camera) ? tangential / length : glm::normalize(any);
-  return {x, glm::cross(n, x), length};
-}
-
-void SpherePixels::push_back(std::uint32_t pixel, const glm::dvec3& normal, const glm::dvec3& camera, bool central, double radius,
-                             const glm::dvec3& step_x, const glm::dvec3& step_y, float inverse_lens) {
-  const CameraFrame frame = camera_frame(normal, camera);
-  const double distance = central ? glm::length(camera - radius * normal) : 1;
-  const bool begins = lane(size) == 0;
-  if (begins) groups.emplace_back();
-  PixelGroup& g = groups.back();
-  for (std::size_t k = lane(size); k < (begins ? width : lane(size) + 1); ++k) {
-    for (int i = 0; i < 3; ++i) g.normal[i][k] = normal[i];
-    g.cos_o[k] = static_cast<float>((glm::dot(normal, camera) - (central ? radius : 0)) / distance);
-    g.sin_o[k] = static_cast<float>(frame.tangential / distance);
-    g.inverse_rim[k] = static_cast<float>(1 / std::max(frame.tangential, 1e-9));
-    g.inverse_distance[k] = static_cast<float>(central ? 1 / distance : 0);
-    for (int axis = 0; axis < 2; ++axis) {
-      const glm::dvec3& change = axis == 0 ? step_x : step_y;
-      g.step[axis][0][k] = static_cast<float>(glm::dot(change, frame.x));
-      g.step[axis][1][k] = static_cast<float>(glm::dot(change, frame.y));
-    }
-    g.inverse_transmission[k] = inverse_lens;
-    g.index[k] = pixel;
-  }
-  ++size;
-}
-
 void sample_block(const SpherePixels& pixels, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block) {
-  block_loop(&pixels.group(begin), n, view, block);
+  block_loop(pixels, begin, n, view, block);
 }
 
 void use_sample_vectors(bool yes) { block_loop = choose_loop(yes); }

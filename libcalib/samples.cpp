@@ -62,12 +62,12 @@ bool well_inside(double cos_o, const std::array<glm::dvec3, 2>& step, double edg
 }
 
 /// Slope of the half vector against the normal, moved by one pixel: to first order ds = dh - dn in the tangent plane. Pixel area and
-/// lens blur spread it by `blur2` pixels^2 per axis. The emitter (a disc: variance D^2/16 per axis) turns wi alone, the half vector by
+/// lens blur spread it by `normal_spread`, two such moves. The emitter (a disc: variance D^2/16 per axis) turns wi alone, the half vector by
 /// half of that in the plane of wi and wo (at phi_d) and by 1/(2 cos theta_d) across.
 /// `camera_distance`: infinite for an orthographic camera.
-brdf::Footprint<double> half_vector_footprint(double radius, double blur2, double camera_distance, const acquire::PlacedLight& light,
+brdf::Footprint<double> half_vector_footprint(double radius, double camera_distance, const acquire::PlacedLight& light,
                                               const acquire::SurfacePoint& point, const glm::dvec3& wi,
-                                              const std::array<glm::dvec3, 2>& normal_steps, const brdf::HalfDiff& coordinates) {
+                                              const std::array<glm::dvec3, 2>& normal_spread, const brdf::HalfDiff& coordinates) {
   const glm::dvec3 to_light = light.position - point.position;
   const double distance2 = light.distant ? 1 : glm::dot(to_light, to_light);
   const glm::dvec3 sum = wi + point.wo;
@@ -81,15 +81,15 @@ brdf::Footprint<double> half_vector_footprint(double radius, double blur2, doubl
   const glm::dvec3 across = glm::cross(n, along);
 
   brdf::Footprint<double> v;
-  for (const glm::dvec3& dn : normal_steps) {
+  for (const glm::dvec3& dn : normal_spread) {
     const glm::dvec3 dp = radius * dn;
     const glm::dvec3 dwi = light.distant ? glm::dvec3(0) : (wi * glm::dot(wi, dp) - dp) / std::sqrt(distance2);
     const glm::dvec3 dsum = dwi + (point.wo * glm::dot(point.wo, dp) - dp) / camera_distance;
     const glm::dvec3 slope = (dsum - h * glm::dot(h, dsum)) / length - dn;
     const double a = glm::dot(slope, along), b = glm::dot(slope, across);
-    v.along += blur2 * a * a;
-    v.across += blur2 * b * b;
-    v.mixed += blur2 * a * b;
+    v.along += a * a;
+    v.across += b * b;
+    v.mixed += a * b;
   }
   if (!light.distant) {
     const double in_plane = light.diameter * light.diameter / (64 * distance2);
@@ -164,14 +164,12 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
   const acquire::RigidTransform rig_from_cam = rig.cam_from_rig.inverse();
   camera_ = central() ? rig_from_cam * glm::dvec3(0) : rig_from_cam.rotation * glm::dvec3(0, 0, -1);
 
-  struct Pixel {
-    std::uint32_t index;
-    int part;
-    glm::dvec3 normal;
-    std::array<glm::dvec3, 2> step;
-  };
   const bool mosaic = acquire::values_per_pixel(layout) == 1 && acquire::n_channels(layout) > 1;
-  std::vector<std::vector<Pixel>> rows(static_cast<std::size_t>(height));
+  struct Row {
+    std::vector<SpherePixel> pixels;
+    std::vector<int> parts;
+  };
+  std::vector<Row> rows(static_cast<std::size_t>(height));
   std::vector<std::size_t> masked(static_cast<std::size_t>(height));
   tbb::parallel_for(0, height, [&](int y) {
     NormalSteps steps(rig, y);
@@ -186,21 +184,21 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
         ++masked[static_cast<std::size_t>(y)];
         continue;
       }
-      rows[static_cast<std::size_t>(y)].push_back(
-          {static_cast<std::uint32_t>(y * width + x), mosaic ? acquire::channel_of(layout_, x, y, 0) : 0, point->normal, step});
+      Row& row = rows[static_cast<std::size_t>(y)];
+      row.pixels.push_back({static_cast<std::uint32_t>(y * width + x), point->normal, step, lens_transmission(calibration_, pixel)});
+      row.parts.push_back(mosaic ? acquire::channel_of(layout_, x, y, 0) : 0);
     }
   });
   parts_.resize(mosaic ? 3 : 1);
+  const double blur2 = 1.0 / 12 + calibration_.lens_blur_px * calibration_.lens_blur_px;  // of pixel area and lens, pixels^2
   for (std::size_t part = 0; part < parts_.size(); ++part) parts_[part].channel = static_cast<int>(part);
   for (std::size_t y = 0; y < rows.size(); ++y) {
-    for (const Pixel& p : rows[y])
-      parts_[static_cast<std::size_t>(p.part)].push_back(
-          p.index, p.normal, camera_, central(), rig.sphere_radius, p.step[0], p.step[1],
-          static_cast<float>(1 / lens_transmission(calibration_, glm::dvec2(p.index % static_cast<std::uint32_t>(width), y))));
+    for (std::size_t i = 0; i < rows[y].pixels.size(); ++i)
+      parts_[static_cast<std::size_t>(rows[y].parts[i])].push_back(rows[y].pixels[i], camera_, central(), rig.sphere_radius, blur2);
     rows[y] = {};
     n_masked_ += masked[y];
   }
-  for (SpherePixels& part : parts_) part.groups.shrink_to_fit();
+  for (SpherePixels& part : parts_) part.finish();
   // Green, with half of the pixels, first: it keeps one of two threads as long busy as the others the other one.
   std::stable_sort(parts_.begin(), parts_.end(), [](const SpherePixels& a, const SpherePixels& b) { return a.size > b.size; });
 }
@@ -212,7 +210,7 @@ std::size_t Sampler::n_pixels() const {
 }
 
 Sampler::View Sampler::view_of(const Illumination& lighting) const {
-  View view{placed_light(calibration_, lighting), 1.0, 1.0 / 12 + calibration_.lens_blur_px * calibration_.lens_blur_px, options_.min_cosine};
+  View view{placed_light(calibration_, lighting), 1.0, options_.min_cosine};
   if (!view.light.distant) {
     const double distance = glm::length(view.light.position);
     view.reference = 1 / (distance * distance);
@@ -223,9 +221,7 @@ Sampler::View Sampler::view_of(const Illumination& lighting) const {
 }
 
 acquire::SurfacePoint Sampler::point(const SpherePixels& pixels, std::size_t i) const {
-  const auto& component = pixels.group(i).normal;
-  const std::size_t k = SpherePixels::lane(i);
-  const glm::dvec3 normal(component[0][k], component[1][k], component[2][k]), position = calibration_.geometry.sphere_radius * normal;
+  const glm::dvec3 normal = pixels.normal(i), position = calibration_.geometry.sphere_radius * normal;
   return {position, normal, central() ? glm::normalize(camera_ - position) : camera_};
 }
 
@@ -237,19 +233,17 @@ Sampler::Lit Sampler::light(const View& view, const SpherePixels& pixels, std::s
   const auto local = acquire::to_shading_frame(p, illumination->wi);
   const double camera_distance = central() ? glm::length(camera_ - p.position) : std::numeric_limits<double>::infinity();
   const CameraFrame frame = camera_frame(p.normal, camera_);
-  std::array<glm::dvec3, 2> steps;
-  for (std::size_t axis = 0; axis < 2; ++axis) {
-    const auto& step = pixels.group(i).step[axis];
-    steps[axis] = double{step[0][SpherePixels::lane(i)]} * frame.x + double{step[1][SpherePixels::lane(i)]} * frame.y;
-  }
+  const auto& spread = pixels.group(i).spread;
+  const std::size_t k = SpherePixels::lane(i);
+  const std::array<glm::dvec3, 2> moves{double{spread[0][k]} * frame.x + double{spread[1][k]} * frame.y, double{spread[2][k]} * frame.y};
   lit.directions = {local.wi, local.wo};
   lit.coordinates = brdf::half_diff(lit.directions);
-  lit.footprint = half_vector_footprint(calibration_.geometry.sphere_radius, view.blur2, camera_distance, view.light, p, illumination->wi, steps,
+  lit.footprint = half_vector_footprint(calibration_.geometry.sphere_radius, camera_distance, view.light, p, illumination->wi, moves,
                                         lit.coordinates);
   lit.irradiance = illumination->irradiance;
   const int c = view.light.intensity.y > 0 ? 1 : view.light.intensity.x > 0 ? 0 : 2;  // all channels agree
   lit.weight = lit.irradiance[c] / (view.light.intensity[c] * view.reference);
-  lit.fate = unresolved(lit.footprint, lit.coordinates.theta_h, options_.narrowest_m) ? PixelSample::blurred : PixelSample::used;
+  lit.fate = unresolved(lit.footprint, lit.coordinates.theta_h, options_.narrowest_m) ? PixelFate::blurred : PixelFate::used;
   return lit;
 }
 
@@ -271,8 +265,8 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, const Illumination
     samples.clear();
     for (std::size_t i = first; i < std::min(first + chunk_pixels, pixels.size); ++i) {
       const Lit lit = light(view, pixels, i);
-      if (lit.fate != PixelSample::used) (lit.fate == PixelSample::blurred ? counts.blurred : counts.grazing) += per_pixel;
-      for (std::size_t k = 0; lit.fate == PixelSample::used && k < per_pixel; ++k) {
+      if (lit.fate != PixelFate::used) (lit.fate == PixelFate::blurred ? counts.blurred : counts.grazing) += per_pixel;
+      for (std::size_t k = 0; lit.fate == PixelFate::used && k < per_pixel; ++k) {
         const std::size_t value = pixels.group(i).index[SpherePixels::lane(i)] * per_pixel + k;
         const PixelFlag flag = image.flags[value];
         ++(flag == PixelFlag::clipped ? counts.clipped : flag == PixelFlag::invalid ? counts.invalid : counts.used);
@@ -302,7 +296,7 @@ Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, const Illumin
   const auto predict = [&](const SpherePixels& pixels, std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i != end; ++i) {
       const Lit lit = light(view, pixels, i);
-      if (lit.fate == PixelSample::grazing) continue;
+      if (lit.fate == PixelFate::grazing) continue;
       const auto f = paint.value(lit.directions, lit.footprint);
       if (!f) continue;
       for (std::size_t k = 0; k < per_pixel; ++k) {

@@ -92,12 +92,11 @@ class Sampler {
   struct View {
     acquire::PlacedLight light;
     double reference;   ///< irradiance at the sphere's centre per intensity
-    double blur2;       ///< of pixel area and lens, pixels^2
     double min_cosine;  ///< of the light
   };
   /// A pixel as the light of a view meets it; unless `fate` is used or blurred the rest means nothing.
   struct Lit {
-    PixelSample::Fate fate = PixelSample::grazing;
+    PixelFate fate = PixelFate::grazing;
     brdf::Directions directions;
     brdf::HalfDiff coordinates;
     brdf::Footprint<double> footprint;
@@ -110,7 +109,7 @@ class Sampler {
   Lit light(const View& view, const SpherePixels& pixels, std::size_t i) const;
   void check(const RadianceImage& image) const;
   KernelView kernel_view(const View& view) const;
-  void resolve(const View& view, const SpherePixels& pixels, std::size_t i, PixelSample& sample) const;
+  PixelFate resolve(const View& view, const SpherePixels& pixels, std::size_t i, PixelSample& sample, std::uint32_t& slot) const;
 
   std::size_t n_masked_ = 0;
   Calibration calibration_;
