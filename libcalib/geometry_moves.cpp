@@ -7,31 +7,15 @@
 
 #include "libcalib/geometry_difference.h"
 #include "libcalib/geometry_unknowns.h"
+#include "libcalib/response_algebra.h"
 #include "libcalib/samples.h"
 
 namespace lacquer::calib {
 
 namespace {
 
-/// Lower triangle L, row-major, of a covariance = L L^T; a direction without an error gets a column of zeros.
-std::vector<double> cholesky(const std::vector<double>& covariance, std::size_t n) {
-  std::vector<double> l(n * n);
-  for (std::size_t j = 0; j < n; ++j) {
-    double pivot = covariance[j * n + j];
-    for (std::size_t k = 0; k < j; ++k) pivot -= l[j * n + k] * l[j * n + k];
-    if (!(pivot > 1e-12 * covariance[j * n + j])) continue;
-    l[j * n + j] = std::sqrt(pivot);
-    for (std::size_t i = j + 1; i < n; ++i) {
-      double sum = covariance[i * n + j];
-      for (std::size_t k = 0; k < j; ++k) sum -= l[i * n + k] * l[j * n + k];
-      l[i * n + j] = sum / l[j * n + j];
-    }
-  }
-  return l;
-}
-
 /// The unknowns whose names those of `estimated` are; nullopt: there are none.
-std::optional<GeometryUnknowns> unknowns_of(const acquire::RigGeometry& nominal, const std::vector<GeometryParameter>& estimated) {
+std::optional<GeometryUnknowns> unknowns_of(const acquire::RigGeometry& nominal, const std::vector<double>& lens_covariance, const std::vector<GeometryParameter>& estimated) {
   const auto has = [&](const std::string& name) {
     return std::any_of(estimated.begin(), estimated.end(), [&](const GeometryParameter& p) { return p.name == name; });
   };
@@ -42,7 +26,9 @@ std::optional<GeometryUnknowns> unknowns_of(const acquire::RigGeometry& nominal,
     const GeometryUnknowns with_light(nominal, {}, one);
     seen.push_back(has(with_light.parameters().back().name));
   }
-  GeometryUnknowns unknowns(nominal, {}, seen);
+  GeometryPriors priors;
+  if (std::any_of(estimated.begin(), estimated.end(), [](const GeometryParameter& p) { return p.name.starts_with("lens."); })) priors.lens_covariance = lens_covariance;
+  GeometryUnknowns unknowns(nominal, priors, seen);
   if (unknowns.size() != estimated.size()) return std::nullopt;
   for (const GeometryParameter& p : unknowns.parameters())
     if (!has(p.name)) return std::nullopt;
@@ -74,7 +60,7 @@ std::optional<std::vector<Calibration>> moved_calibrations(const acquire::Sessio
   const GeometryUncertainty& known = calibration.geometry_uncertainty;
   const std::size_t n = known.parameters.size();
   if (n == 0 || known.covariance.size() != n * n) return std::nullopt;
-  const auto unknowns = unknowns_of(session.rig.geometry, known.parameters);
+  const auto unknowns = unknowns_of(session.rig.geometry, calibration.lens_covariance, known.parameters);
   if (!unknowns) return std::nullopt;
   // In the unknowns' order and units.
   const auto x_of = [&](const std::vector<double>& corrections) {
@@ -89,7 +75,7 @@ std::optional<std::vector<Calibration>> moved_calibrations(const acquire::Sessio
   for (const GeometryParameter& p : known.parameters) corrections.push_back(p.correction);
   if (!same_geometry(unknowns->geometry(x_of(corrections)), calibration.geometry)) return std::nullopt;
 
-  const std::vector<double> factor = cholesky(known.covariance, n);
+  const std::vector<double> factor = cholesky_factor(known.covariance, n);
   std::vector<Calibration> result;
   for (std::size_t k = 0; k < n; ++k) {
     std::vector<double> moved = corrections;

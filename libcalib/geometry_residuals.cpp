@@ -64,7 +64,9 @@ glm::dvec2 GeometryResiduals::miss(const acquire::RigGeometry& g, double scale, 
 
 double GeometryResiduals::edge_residual(const acquire::RigGeometry& g, const std::vector<double>& x, std::size_t i) const {
   if (!edge_used_[i]) return 0;
-  const auto distance = sights_[i] ? silhouette_distance(g, edges_[i].pixel, *sights_[i]) : std::nullopt;
+  const auto distance = unknowns_.n_lens() > 0 ? silhouette_distance(g, edges_[i].pixel)
+                        : sights_[i]           ? silhouette_distance(g, edges_[i].pixel, *sights_[i])
+                                               : std::nullopt;
   return (distance.value_or(1e6) - unknowns_.edge_offset(x, sides_[i])) / (edges_[i].sigma * edge_factor_);
 }
 

@@ -61,7 +61,7 @@ class GeometryResiduals {
   const std::vector<EdgePoint>& edges_;
   const std::vector<Highlight>& highlights_;
   const GeometryEvidence& evidence_;
-  std::vector<std::optional<glm::dvec3>> sights_;  ///< of the edges: the lens is not an unknown
+  std::vector<std::optional<glm::dvec3>> sights_;  ///< of the edges, for a lens that is not an unknown
   std::vector<glm::dvec2> sides_;
   std::vector<bool> edge_used_, highlight_used_;
   double edge_factor_ = 1, highlight_factor_ = 1;

@@ -227,7 +227,9 @@ class Estimator {
 SessionGeometry estimate_geometry(const std::string& name, const acquire::RigGeometry& nominal, const acquire::MaskDescription& mask,
                                   const std::vector<GeometryView>& views, Calibration& calibration, const GeometryOptions& options,
                                   const Progress& progress) {
-  Estimator estimator(name, nominal, mask, views, calibration, options, progress);
+  GeometryOptions with_lens = options;
+  if (with_lens.priors.lens_covariance.empty()) with_lens.priors.lens_covariance = calibration.lens_covariance;
+  Estimator estimator(name, nominal, mask, views, calibration, with_lens, progress);
   SessionGeometry result = estimator.find();
   calibration.geometry = result.estimate.geometry;
   calibration.turntable_scale = result.estimate.turntable_scale;

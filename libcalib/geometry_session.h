@@ -49,7 +49,8 @@ struct GeometryView {
 };
 
 /// Sphere, axis and lights from merged images; the result also goes into `calibration` (geometry, turntable_scale, geometry_uncertainty,
-/// geometry_source). Begins with `nominal`, the rig file's, whatever `calibration` has. Each image is read twice: for the silhouette, then
+/// geometry_source). Begins with `nominal`, the rig file's, whatever `calibration` has but the covariance of its lens, whose intrinsics are unknowns
+/// then. Each image is read twice: for the silhouette, then
 /// for highlights and paint. Highlights are measured again with the geometry they gave, three times in all; then the paint refines it.
 /// `mask`: what of the sphere is paint. Throws Error{input} where the rig cannot be estimated, or neither highlights nor paint say enough: what
 /// to do is in the text, which begins with `name`.

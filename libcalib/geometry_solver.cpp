@@ -86,6 +86,28 @@ void describe_fit(const GeometryResiduals& residuals, const std::vector<double>&
   if (e.n_highlights > 0) e.highlight_rms_px = std::sqrt(highlight_sum / (2 * static_cast<double>(e.n_highlights)));
 }
 
+/// Larger axis of the error of the sphere's centre in the image.
+double centre_sigma_px(const GeometryUnknowns& unknowns, const std::vector<double>& x, const SymmetricMatrix& covariance) {
+  constexpr double step = 1e-3;
+  std::vector<glm::dvec2> by(x.size());
+  for (std::size_t k = 0; k < x.size(); ++k) {
+    std::vector<double> up = x, down = x;
+    up[k] += step;
+    down[k] -= step;
+    const acquire::RigGeometry a = unknowns.geometry(up), b = unknowns.geometry(down);
+    const auto p = a.camera.project(a.cam_from_rig.translation), q = b.camera.project(b.cam_from_rig.translation);
+    if (p && q) by[k] = (*p - *q) / (2 * step);
+  }
+  double xx = 0, xy = 0, yy = 0;
+  for (std::size_t k = 0; k < x.size(); ++k)
+    for (std::size_t l = 0; l < x.size(); ++l) {
+      xx += by[k].x * covariance(k, l) * by[l].x;
+      xy += by[k].x * covariance(k, l) * by[l].y;
+      yy += by[k].y * covariance(k, l) * by[l].y;
+    }
+  return std::sqrt(std::max(0.0, 0.5 * (xx + yy) + std::hypot(0.5 * (xx - yy), xy)));
+}
+
 /// Covariance of the unknowns and what it means for samples.
 void add_uncertainty(const GeometryResiduals& residuals, const acquire::RigGeometry& nominal, const std::vector<double>& x, GeometryEstimate& e) {
   const auto j = residuals.derivatives(x);
@@ -107,8 +129,7 @@ void add_uncertainty(const GeometryResiduals& residuals, const acquire::RigGeome
       e.uncertainty.covariance[a * n + b] = inverse(a, b) * p.prior_sigma * residuals.unknowns().parameters()[b].prior_sigma;
     }
   }
-  const double pixels_per_metre = nominal.camera.focal.x / nominal.cam_from_rig.translation.z;
-  e.centre_sigma_px = std::max(e.uncertainty.parameters[0].sigma, e.uncertainty.parameters[1].sigma) * pixels_per_metre;
+  e.centre_sigma_px = centre_sigma_px(residuals.unknowns(), x, inverse);
   const GeometryEffects effects = geometry_effects(residuals, x);
   e.light_sigma_rad = rms_effect(effects.light, scaled, 3);
   e.half_vector_sigma_rad = rms_effect(effects.half, scaled, 3);
@@ -139,7 +160,14 @@ void check_input(const acquire::RigGeometry& g, const std::vector<EdgePoint>& ed
 void GeometryPriors::validate() const {
   for (const double s : {sphere_m, axis_point_m, axis_tilt_rad, zero_angle_rad, turntable_scale, light_m, arm, edge_offset_px, edge_side_px})
     if (!(s > 0 && std::isfinite(s))) throw Error(ErrorCode::usage, "geometry priors: expected numbers > 0");
+  const std::size_t n = n_intrinsics();
+  bool good = lens_covariance.empty() || (n >= 4 && n <= 12 && n * n == lens_covariance.size());
+  for (std::size_t i = 0; good && i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j) good = good && std::isfinite(lens_covariance[i * n + j]) && lens_covariance[i * n + i] >= 0;
+  if (!good) throw Error(ErrorCode::usage, "geometry priors: lens_covariance: expected a covariance of 4 to 12 intrinsics");
 }
+
+std::size_t GeometryPriors::n_intrinsics() const { return static_cast<std::size_t>(std::llround(std::sqrt(static_cast<double>(lens_covariance.size())))); }
 
 std::vector<bool> lights_with_data(const acquire::RigGeometry& nominal, const std::vector<Highlight>& highlights, const GeometryEvidence& evidence) {
   std::vector<bool> seen(nominal.lights.size());

@@ -51,6 +51,9 @@ struct GeometryPriors {
   double arm = 0.02;                 ///< relative, of a light's distance from the origin; in addition to light_m
   double edge_offset_px = 0.1;       ///< common error of all edge points, across the silhouette
   double edge_side_px = 0.02;        ///< the same with the cosine and the sine of the side: a limb is lit from one side, and looks it
+  /// Of the camera's fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 or the first of them, row-major, as Calibration::lens_covariance; empty: the lens is believed.
+  std::vector<double> lens_covariance = {};
+  std::size_t n_intrinsics() const;  ///< that lens_covariance is of
   void validate() const;
 };
 

@@ -7,8 +7,17 @@
 #include <glm/geometric.hpp>
 
 #include "libcalib/geometry_projection.h"
+#include "libcalib/response_algebra.h"
 
 namespace lacquer::calib {
+
+namespace {
+
+double& intrinsic(acquire::CameraModel& camera, std::size_t k) {
+  return k < 2 ? camera.focal[static_cast<int>(k)] : k < 4 ? camera.centre[static_cast<int>(k - 2)] : camera.distortion[k - 4];
+}
+
+}  // namespace
 
 GeometryUnknowns::GeometryUnknowns(const acquire::RigGeometry& nominal, const GeometryPriors& priors, const std::vector<bool>& seen)
     : nominal_(nominal), priors_(priors), seen_(seen) {
@@ -21,6 +30,7 @@ GeometryUnknowns::GeometryUnknowns(const acquire::RigGeometry& nominal, const Ge
   add("edge offset", "px", 0, priors.edge_offset_px);
   for (const char* letter : {"x", "y"}) add(fmt::format("edge offset.{}", letter), "px", 0, priors.edge_side_px);
   if (std::none_of(seen_.begin(), seen_.end(), [](bool s) { return s; })) return;
+  add_lens();
   first_axis_ = parameters_.size();
   add("axis.tilt_a", "rad", 0, priors.axis_tilt_rad);
   add("axis.tilt_b", "rad", 0, priors.axis_tilt_rad);
@@ -40,6 +50,24 @@ GeometryUnknowns::GeometryUnknowns(const acquire::RigGeometry& nominal, const Ge
   }
 }
 
+void GeometryUnknowns::add_lens() {
+  constexpr std::array names{"fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"};
+  const std::size_t all = priors_.n_intrinsics();
+  const std::vector<double>& c = priors_.lens_covariance;
+  first_lens_ = parameters_.size();
+  for (std::size_t k = 0; k < all; ++k) {
+    if (!(c[k * all + k] > 0)) continue;
+    lens_.push_back(k);
+    add(fmt::format("lens.{}", names[k]), k < 4 ? "px" : "1", intrinsic(nominal_.camera, k), std::sqrt(c[k * all + k]));
+  }
+  const std::size_t n = lens_.size();
+  std::vector<double> correlation(n * n);
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j)
+      correlation[i * n + j] = c[lens_[i] * all + lens_[j]] / (parameters_[first_lens_ + i].prior_sigma * parameters_[first_lens_ + j].prior_sigma);
+  lens_factor_ = cholesky_factor(correlation, n);
+}
+
 std::optional<std::size_t> GeometryUnknowns::light_of(std::size_t k) const {
   for (std::size_t i = 0; i < first_light_.size(); ++i)
     if (seen_[i] && k >= first_light_[i] && k < first_light_[i] + 3) return i;
@@ -48,6 +76,7 @@ std::optional<std::size_t> GeometryUnknowns::light_of(std::size_t k) const {
 
 acquire::RigGeometry GeometryUnknowns::geometry(const std::vector<double>& x) const {
   acquire::RigGeometry g = nominal_;
+  for (std::size_t k = 0; k < lens_.size(); ++k) intrinsic(g.camera, lens_[k]) += value(x, first_lens_ + k);
   const glm::dvec3 sphere(value(x, 0), value(x, 1), value(x, 2));
   g.cam_from_rig.translation += g.cam_from_rig.rotation * sphere;
   g.axis_point -= sphere;
@@ -71,7 +100,15 @@ acquire::RigGeometry GeometryUnknowns::geometry(const std::vector<double>& x) co
 
 void GeometryUnknowns::prior_residuals(const std::vector<double>& x, std::vector<double>& out) const {
   std::size_t n_plain = first_light_.empty() ? size() : first_light_.front();
-  for (std::size_t i = 0; i < n_plain; ++i) out.push_back(x[i]);
+  std::vector<double> white = x;
+  const std::size_t n_lens = lens_.size();
+  constexpr double least = 1e-6;  // of an intrinsic that the others determine
+  for (std::size_t i = 0; i < n_lens; ++i) {
+    double& r = white[first_lens_ + i];
+    for (std::size_t k = 0; k < i; ++k) r -= lens_factor_[i * n_lens + k] * white[first_lens_ + k];
+    r /= std::max(least, lens_factor_[i * n_lens + i]);
+  }
+  for (std::size_t i = 0; i < n_plain; ++i) out.push_back(white[i]);
   for (std::size_t i = 0; i < first_light_.size(); ++i) {
     if (!seen_[i]) continue;
     const glm::dvec3& p = nominal_.lights[i].position;
@@ -79,8 +116,8 @@ void GeometryUnknowns::prior_residuals(const std::vector<double>& x, std::vector
     const glm::dvec3 u = p / length;
     const glm::dvec3 d(value(x, first_light_[i]), value(x, first_light_[i] + 1), value(x, first_light_[i] + 2));
     const double along = glm::dot(d, u);
-    const glm::dvec3 white = (d - along * u) / priors_.light_m + u * (along / std::hypot(priors_.light_m, priors_.arm * length));
-    for (int k = 0; k < 3; ++k) out.push_back(white[k]);
+    const glm::dvec3 ruled = (d - along * u) / priors_.light_m + u * (along / std::hypot(priors_.light_m, priors_.arm * length));
+    for (int k = 0; k < 3; ++k) out.push_back(ruled[k]);
   }
 }
 

@@ -11,6 +11,7 @@
 #include <optional>
 
 #include "libbrdf/error.h"
+#include "libcalib/paint_lens.h"
 #include "libcalib/paint_scene.h"
 #include "libcalib/paint_spline.h"
 #include "libcalib/response_algebra.h"
@@ -44,7 +45,7 @@ class Evidence {
  public:
   Evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns, const std::vector<double>& x,
            const PaintOptions& options)
-      : samples_(samples), views_(views), options_(options), geometry_(unknowns.geometry(x)), x_(x), n_unknowns_(x.size()),
+      : lens_(unknowns, x), moved_(through(lens_, samples)), samples_(lens_.known() ? samples : moved_), views_(views), options_(options), geometry_(unknowns.geometry(x)), x_(x), n_unknowns_(x.size()),
         sphere_{glm::transpose(geometry_.cam_from_rig.rotation), geometry_.cam_from_rig.translation, geometry_.sphere_radius},
         scenes_(scenes_of(geometry_, unknowns.turntable_scale(x), views)), nuisances_(geometry_, views, options),
         spline_(options.lowest_theta_h, highest_theta_h, highest_theta_d), weight_(samples.size()), residual_(samples.size()), bend_(samples.size()), seen_(samples.size()), slope_(samples.size()), coefficients_(PaintSpline::size) {
@@ -85,6 +86,13 @@ class Evidence {
   }
 
  private:
+  static std::vector<PaintSample> through(const PaintLens& lens, const std::vector<PaintSample>& samples) {
+    if (lens.known()) return {};
+    std::vector<PaintSample> moved = samples;
+    tbb::parallel_for(std::size_t{0}, moved.size(), [&](std::size_t i) { moved[i].sight = lens.moved(moved[i].sight); });
+    return moved;
+  }
+
   std::size_t n_columns() const { return n_unknowns_ + nuisances_.columns.size(); }
 
   /// In fixed pieces, added up in order: the result does not depend on the number of threads.
@@ -238,6 +246,16 @@ class Evidence {
     for (std::size_t k = 0; k < n_unknowns_; ++k) {
       const PaintMotion& m = motion_[k][sample.view];
       d[k] = glm::dot(slope_[i].by_light, m.light) + glm::dot(by_axis, m.axis) + glm::dot(slope_[i].by_sphere, sphere_motion_[k]);
+    }
+    if (!lens_.known()) {
+      // A sight that turns sees what one that stays does of a scene that turns back about the camera.
+      const std::array<glm::dvec3, PaintLens::max_unknowns> turns = lens_.turns(sample.sight);
+      const glm::dmat3 cam_from_rig = glm::transpose(sphere_.rig_from_cam);
+      for (std::size_t k = 0; k < lens_.size(); ++k) {
+        const auto back = [&](const glm::dvec3& v) { return -(sphere_.rig_from_cam * glm::cross(turns[k], cam_from_rig * v)); };
+        d[lens_.first() + k] += glm::dot(slope_[i].by_light, back(scene.light)) + glm::dot(by_axis, back(scene.axis)) -
+                                glm::dot(slope_[i].by_sphere, glm::cross(turns[k], sphere_.translation));
+      }
     }
     for (std::size_t k = 0; k < nuisances_.columns.size(); ++k)
       d[n_unknowns_ + k] = nuisances_.derivative(nuisances_.columns[k], sample, views_[sample.view], scene, seen);
@@ -416,6 +434,8 @@ class Evidence {
   static constexpr std::size_t n_pieces = 8;
   static constexpr double smoothness = 4;  // second differences of ln f of 0.5 and more are not expected
 
+  PaintLens lens_;
+  std::vector<PaintSample> moved_;  ///< through the lens as it is now, where it is an unknown
   const std::vector<PaintSample>& samples_;
   const std::vector<PaintView>& views_;
   PaintOptions options_;

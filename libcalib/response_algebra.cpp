@@ -86,6 +86,22 @@ std::vector<double> solve(SymmetricMatrix a, std::vector<double> b) {
   return b;
 }
 
+std::vector<double> cholesky_factor(const std::vector<double>& covariance, std::size_t n) {
+  std::vector<double> l(n * n);
+  for (std::size_t j = 0; j < n; ++j) {
+    double pivot = covariance[j * n + j];
+    for (std::size_t k = 0; k < j; ++k) pivot -= l[j * n + k] * l[j * n + k];
+    if (!(pivot > 1e-12 * covariance[j * n + j])) continue;
+    l[j * n + j] = std::sqrt(pivot);
+    for (std::size_t i = j + 1; i < n; ++i) {
+      double sum = covariance[i * n + j];
+      for (std::size_t k = 0; k < j; ++k) sum -= l[i * n + k] * l[j * n + k];
+      l[i * n + j] = sum / l[j * n + j];
+    }
+  }
+  return l;
+}
+
 SymmetricMatrix sandwich(SymmetricMatrix a, const SymmetricMatrix& s) {
   const std::size_t n = a.size();
   const std::vector<double> scale = factor(a);

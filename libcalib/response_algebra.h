@@ -28,6 +28,9 @@ class SymmetricMatrix {
 /// x with A x = b. Unknowns that the matrix leaves open (to 1e-13 of their own scale) are 0.
 std::vector<double> solve(SymmetricMatrix a, std::vector<double> b);
 
+/// Lower triangle L, row-major, of a row-major n x n covariance = L L^T; a direction without an error gets a column of zeros.
+std::vector<double> cholesky_factor(const std::vector<double>& covariance, std::size_t n);
+
 /// A^-1 S A^-1, the covariance of the solution of A x = b when b has covariance S; open unknowns get 0.
 SymmetricMatrix sandwich(SymmetricMatrix a, const SymmetricMatrix& s);
 

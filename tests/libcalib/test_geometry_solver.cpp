@@ -333,6 +333,57 @@ TEST(GeometrySolver, TheAngleOfAViewIsKnownFromItsHighlight) {
   EXPECT_LT(after, 0.25 * before);
 }
 
+/// A lens that is wrong within its covariance: its errors are in those of half vectors and centre, which hold the truth with it and not without.
+TEST(GeometrySolver, ALensWrongWithinItsCovarianceIsInTheErrorBars) {
+  constexpr int n_rigs = 8, n = 6;
+  // fx fy cx cy k1 k2: fx and fy together, k1 against k2, as calibrations have them.
+  const double sigma[n] = {6, 6, 4, 4, 0.02, 0.3};
+  double factor[n][n]{};
+  for (int k = 0; k < n; ++k) factor[k][k] = sigma[k];
+  factor[1][0] = 0.99 * sigma[1], factor[1][1] = std::sqrt(1 - 0.99 * 0.99) * sigma[1];
+  factor[5][4] = -0.95 * sigma[5], factor[5][5] = std::sqrt(1 - 0.95 * 0.95) * sigma[5];
+  GeometryPriors informed;
+  informed.lens_covariance.resize(8 * 8);  // p1 and p2 were held
+  for (int i = 0; i < n; ++i)
+    for (int j = 0; j < n; ++j)
+      for (int k = 0; k < n; ++k) informed.lens_covariance[static_cast<std::size_t>(i * 8 + j)] += factor[i][k] * factor[j][k];
+  double half2 = 0, stated2 = 0, believed2 = 0, pulls2 = 0, believed_pulls2 = 0;
+  for (unsigned seed = 0; seed < n_rigs; ++seed) {
+    Draw draw(seed + 500);
+    const auto nominal = test::quick_rig(2);
+    TrueRig t = built(nominal, informed, draw);
+    double u[n];
+    for (double& v : u) v = draw(1);
+    double off[n]{};
+    for (int i = 0; i < n; ++i)
+      for (int k = 0; k < n; ++k) off[i] += factor[i][k] * u[k];
+    t.geometry.camera.focal += glm::dvec2(off[0], off[1]);
+    t.geometry.camera.centre += glm::dvec2(off[2], off[3]);
+    t.geometry.camera.distortion[0] += off[4];
+    t.geometry.camera.distortion[1] += off[5];
+    const auto edges = edges_of(t.geometry, 0.02, 0, 360 * degree, 40, draw);
+    const auto highlights = highlights_of(t, 0.005, 0, 130, 8, draw);
+    const auto e = solve_geometry(nominal, edges, highlights, informed), believed = solve_geometry(nominal, edges, highlights);
+    ASSERT_TRUE(e.converged) << seed;
+    ASSERT_EQ(e.uncertainty.parameters.size(), believed.uncertainty.parameters.size() + n);
+    half2 += std::pow(errors(e, t).half, 2) / n_rigs;
+    stated2 += std::pow(e.half_vector_sigma_rad / degree, 2) / n_rigs;
+    believed2 += std::pow(believed.half_vector_sigma_rad / degree, 2) / n_rigs;
+    const glm::dvec3 sphere = glm::transpose(nominal.cam_from_rig.rotation) * (t.geometry.cam_from_rig.translation - nominal.cam_from_rig.translation);
+    for (std::size_t k = 0; k < 2; ++k) {
+      pulls2 += std::pow((e.uncertainty.parameters[k].correction - sphere[static_cast<int>(k)]) / e.uncertainty.parameters[k].sigma, 2) / (2 * n_rigs);
+      believed_pulls2 += std::pow((believed.uncertainty.parameters[k].correction - sphere[static_cast<int>(k)]) / believed.uncertainty.parameters[k].sigma, 2) / (2 * n_rigs);
+    }
+  }
+  std::cout << "half vectors " << std::sqrt(half2) << " deg, stated " << std::sqrt(stated2) << ", with a lens that is believed " << std::sqrt(believed2)
+            << "; sphere's pulls " << std::sqrt(pulls2) << " and " << std::sqrt(believed_pulls2) << "\n";
+  EXPECT_GT(std::sqrt(stated2 / half2), 0.6);
+  EXPECT_LT(std::sqrt(stated2 / half2), 1.6);
+  EXPECT_GT(pulls2, 0.4);  // 16 numbers: 1 +- 0.35
+  EXPECT_LT(pulls2, 2.0);
+  EXPECT_GT(believed_pulls2, 9) << "the case does not show anything";
+}
+
 TEST(GeometrySolver, BadInputIsRefused) {
   auto rig = test::quick_rig();
   EXPECT_THROW(solve_geometry(rig, {}, {}), Error);

@@ -195,6 +195,42 @@ TEST(PaintEvidence, ALightWithoutAHighlightDoesNotDisturbTheOthers) {
   }
 }
 
+/// Seen through a lens that is not the rig file's: at the true lens' numbers the evidence asks for nothing more, at the rig file's it does.
+TEST(PaintEvidence, KnowsWhatTheLensMoves) {
+  const acquire::RigGeometry nominal = nominal_rig();
+  acquire::RigGeometry truth = nominal;
+  truth.camera.focal *= 1.01;
+  truth.camera.centre += glm::dvec2(3, -2);
+  const Noise noise{.relative = 0.002};
+  std::mt19937_64 random(5);
+  Photographs p;
+  Calibration calibration;
+  calibration.geometry = nominal;  // samples are cut out through the lens of the rig file
+  const PaintBlocks blocks = paint_blocks(nominal, 12);
+  for (int view = 0; view < 12; ++view) {
+    p.views.push_back({0, 12 * view * degree, 1});
+    add_paint_samples(photograph(truth, truth.place_light(0, 12 * view * degree), *matte_paint(), noise, random), calibration, static_cast<std::uint32_t>(view), blocks, p.samples);
+  }
+  GeometryPriors priors;
+  priors.lens_covariance = {900, 0, 0, 0, 0, 900, 0, 0, 0, 0, 9, 0, 0, 0, 0, 9};
+  const GeometryUnknowns unknowns(nominal, priors, {true});
+  ASSERT_EQ(unknowns.n_lens(), 4u);
+  std::vector<double> wrong(unknowns.size()), right(unknowns.size());
+  const char* const names[] = {"lens.fx", "lens.fy", "lens.cx", "lens.cy"};
+  const double off[] = {30.55, 30.55, 3.0, -2.0};
+  for (std::size_t k = 0; k < 4; ++k) {
+    const GeometryParameter& p_k = unknowns.parameters()[unknowns.first_lens() + k];
+    ASSERT_EQ(p_k.name, names[k]);
+    right[unknowns.first_lens() + k] = off[k] / p_k.prior_sigma;
+  }
+  const GeometryEvidence at_truth = paint_evidence(p.samples, p.views, unknowns, right, {}).geometry, at_rig_file = paint_evidence(p.samples, p.views, unknowns, wrong, {}).geometry;
+  const double n = static_cast<double>(at_truth.rows.size());
+  EXPECT_LT(chi2(at_truth, right) / n, 3);
+  EXPECT_GT(chi2(at_rig_file, wrong) / n, 30);
+  // Linearised there, it knows how far the truth is: what is left is a small part of what there was.
+  EXPECT_LT(chi2(at_rig_file, right), 0.1 * chi2(at_rig_file, wrong));
+}
+
 TEST(PaintEvidence, ADistantLightIsRefused) {
   acquire::RigGeometry rig = nominal_rig();
   rig.lights[0].distant = true;
