@@ -7,6 +7,7 @@
 #include "libbrdf/brdf.h"
 #include "libbrdf/error.h"
 #include "libbrdf/physical_checks.h"
+#include "tools/fit_table.h"
 #include "tools/json_output.h"
 
 namespace lacquer::tools {
@@ -47,10 +48,12 @@ std::string to_text(const brdf::PhysicalChecks& checks, double max_theta_deg) {
   text += "mirror symmetry        " + asymmetry(checks.mirror) + "\n";
   text += fmt::format("negative values        {} of {} (lowest {:.3g} 1/sr), {} zero, {} undefined\n", checks.n_negative,
                       checks.n_directions - checks.n_undefined, checks.most_negative, checks.n_zero, checks.n_undefined);
-  text += "\ntheta_i  directional-hemispherical reflectance R, G, B               undefined\n";
+  // An integral over the cells of a table has an error; one of a model is exact to the digits shown.
+  const auto value = [](double v, double sigma) { return sigma > 1e-5 ? with_error_aligned(v, sigma, 8, 10) : fmt::format("{:8.5f}          ", v); };
+  text += "\ntheta_i  directional-hemispherical reflectance R, G, B             undefined\n";
   for (const auto& r : checks.reflectances)
-    text += fmt::format("{:4.0f} deg {:9.5f} +- {:.5f} {:9.5f} +- {:.5f} {:9.5f} +- {:.5f}  {:6.2f} %{}\n", r.theta_i / degree, r.value.x, r.sigma.x,
-                        r.value.y, r.sigma.y, r.value.z, r.sigma.z, 100 * r.undefined, r.conserves_energy() ? "" : "   MORE THAN ALL LIGHT");
+    text += fmt::format("{:3.0f} deg  {} {} {} {:7.2f} %{}\n", r.theta_i / degree, value(r.value.x, r.sigma.x), value(r.value.y, r.sigma.y), value(r.value.z, r.sigma.z),
+                        100 * r.undefined, r.conserves_energy() ? "" : "   MORE THAN ALL LIGHT");
   return text;
 }
 

@@ -49,7 +49,7 @@ std::string to_text(const Options& options, const Converted& converted, const Lo
                                  static_cast<double>(std::filesystem::file_size(options.output)) / 1e3);
   text += fmt::format("{:<22} {}\n", "format", converted.format);
   for (const auto& note : converted.notes) text += fmt::format("{:<22} {}\n", "note", note);
-  text += fmt::format("loss, {}, light and camera within {:g} deg of the normal:\n", converted.judged_by, max_theta_deg);
+  text += fmt::format("loss: {},\n      light and camera within {:g} deg of the normal\n", converted.judged_by, max_theta_deg);
   text += error_line("relative error", loss.everywhere) + error_line("near mirror direction", loss.near_specular);
   return text + difference_text(loss.difference);
 }
@@ -91,7 +91,7 @@ void run(Options options, const Context& context) {
 
 void add_convert(CLI::App& app, Context& context) {
   auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("convert", "Writes a BRDF in another format and says what that lost");
+  CLI::App* command = app.add_subcommand("convert", "any BRDF file -> another format, and what that loses");
   command->add_option("INPUT", options->input, "any BRDF file that compare reads; renderers' materials need a fit.json or paint")->required();
   command->add_option("-o,--output", options->output, "file to write; its extension chooses the format")->required();
   command->add_option("--format", options->format, fmt::format("overrides the extension: {}", target_names()));

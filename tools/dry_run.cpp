@@ -57,7 +57,7 @@ std::string plan_text(const acquire::RigDescription& rig, const acquire::Capture
 
 std::string time_text(const acquire::RigDescription& rig, const acquire::CaptureEstimate& e) {
   if (rig.kind == acquire::RigDescription::Kind::replay) return "duration: that of reading the photographs\n";
-  return fmt::format("duration: {}{}: exposing {}, reading out {}, lights {}, turning {}\n", duration_text(e.total_s()),
+  return fmt::format("duration: {}{}\n          exposing {}, reading out {}, lights {}, turning {}\n", duration_text(e.total_s()),
                      rig.kind == acquire::RigDescription::Kind::simulated ? " on the simulated clock (rendering takes its own time)" : "",
                      duration_text(e.exposure_s), duration_text(e.readout_s), duration_text(e.lights_s), duration_text(e.motion_s));
 }
@@ -93,9 +93,9 @@ DiskNeeds disk_needs(const acquire::RigDescription& rig, const acquire::CaptureE
 }
 
 std::string disk_text(const DiskNeeds& disk) {
-  std::string text = fmt::format("disk: {} of frames; lacquer measure adds {} of radiance and about {} of table", size_text(disk.frames), size_text(disk.radiance), size_text(disk.table));
+  std::string text = fmt::format("disk: {} of frames; lacquer measure adds {} of radiance, some {} of table", size_text(disk.frames), size_text(disk.radiance), size_text(disk.table));
   if (!disk.free) return text + "\n";
-  text += fmt::format("; {} are free at {}", size_text(*disk.free), disk.place);
+  text += fmt::format("\n      {} are free at {}", size_text(*disk.free), disk.place);
   if (*disk.free < disk.frames) text += ": TOO LITTLE even for the frames";
   else if (*disk.free < disk.frames + disk.radiance + disk.table) text += ": too little for lacquer measure";
   return text + "\n";

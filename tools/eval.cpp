@@ -129,7 +129,7 @@ std::size_t print_values_json(const brdf::Brdf& brdf, const std::vector<brdf::Di
 }  // namespace
 
 void add_eval(CLI::App& app, Context& context) {
-  auto* command = app.add_subcommand("eval", "Values of a BRDF in 1/sr, without the cosine, as CSV r,g,b on stdout");
+  auto* command = app.add_subcommand("eval", "values of a BRDF in 1/sr, without the cosine, as CSV r,g,b on stdout");
   struct Options {
     std::string input, directions;
     bool sigma = false;

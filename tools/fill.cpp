@@ -58,12 +58,12 @@ void add_fill(CLI::App& app, Context& context) {
       j["table"] = options->output;
       return print_json(j);
     }
+    fmt::print("cells of   measured     filled   mirrored   modelled       left   mean |ln| of trial\n");
     for (std::size_t c = 0; c < reports.size(); ++c) {
       const auto& r = reports[c];
-      fmt::print("{}: {} cells measured, {} filled, {} from the mirror cell, {} from the model, {} left; known cells predicted through the same gaps: mean |ln| {:.4f}\n",
-                 reports.size() == 3 ? "RGB"[c] : 'Y', r.n_data, r.n_filled, r.n_symmetric, r.n_modelled, r.n_left, r.trial_mean_abs_log);
+      fmt::print("{:<8} {:>10} {:>10} {:>10} {:>10} {:>10} {:>20.4f}\n", reports.size() == 3 ? "RGB"[c] : 'Y', r.n_data, r.n_filled, r.n_symmetric, r.n_modelled, r.n_left, r.trial_mean_abs_log);
     }
-    fmt::print("table: {}\n", options->output);
+    fmt::print("trial: known cells, predicted through gaps like those that were filled\ntable: {}\n", options->output);
   });
 }
 

@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <memory>
@@ -48,23 +49,25 @@ std::string one_line(const brdf::CookTorrance& model) {
 }
 
 std::string candidate_table(const fit::FitResult& fit) {
-  std::string text = fmt::format("\n{:<48} {:>10} {:>10} {:>6} {:>12}\n", "candidate", "mean |ln|", "parameters", "ns", "criterion");
+  std::size_t width = 12;
+  for (const fit::Candidate& c : fit.candidates) width = std::max(width, c.structure.size());
+  std::string text = fmt::format("\n{:<{}} {:>10} {:>10} {:>6} {:>12}\n", "candidate", width, "mean |ln|", "parameters", "ns", "criterion");
   for (const fit::Candidate& c : fit.candidates)
-    text += fmt::format("{:<48} {:>10.4g} {:>10} {:>6.2f} {:>+12.4g}{}\n", c.structure, c.mean_abs_log, c.n_parameters, c.evaluation_ns,
+    text += fmt::format("{:<{}} {:>10.4g} {:>10} {:>6.2f} {:>+12.4g}{}\n", c.structure, width, c.mean_abs_log, c.n_parameters, c.evaluation_ns,
                         c.criterion, c.pareto ? "  no faster one is as near" : "");
   if (fit.candidates.size() > 1)
-    text += fmt::format("chosen: {}, whose error with {:.3g} per parameter added is least (1 in {:.3g} values counts as independent)\n",
+    text += fmt::format("chosen: {}, whose error with {:.3g} per parameter added is least\n        (1 in {:.3g} values counts as independent)\n",
                         fit.candidates.front().structure, fit.parameter_price, fit.overdispersion);
   return text + "\n";
 }
 
 std::string metrics_text(const fit::FitMetrics& m) {
   const brdf::BrdfDifference& d = m.difference;
-  std::string text = fmt::format("cosine RMS  {:.4g} %   weighted by cosines and solid angles, within 80 deg of the normal\ncube root   {:.4g} sr^(-1/3)   RMS of cube roots\n",
+  std::string text = fmt::format("cosine RMS   {:.4g} %   weighted by cosines and solid angles, within 80 deg of the normal\ncube root    {:.4g} sr^(-1/3)   RMS of cube roots\n",
                                  100 * d.cosine_rms, d.cube_root_rms);
-  if (d.n_pixels) text += fmt::format("dE2000      {:.3f} mean, {:.3f} 95 %   sphere under point lights\n", d.delta_e_mean, d.delta_e_p95);
-  if (m.probe_pixels) text += fmt::format("dE2000      {:.3f} mean, {:.3f} 95 %   sphere under the light probe\n", m.probe_delta_e_mean, m.probe_delta_e_p95);
-  return text + fmt::format("dE2000      {:.3f} mean   between the fit and what its standard errors allow\n", m.delta_e_of_errors);
+  if (d.n_pixels) text += fmt::format("dE2000       {:.3f} mean, {:.3f} 95 %   sphere under point lights\n", d.delta_e_mean, d.delta_e_p95);
+  if (m.probe_pixels) text += fmt::format("dE2000       {:.3f} mean, {:.3f} 95 %   sphere under the light probe\n", m.probe_delta_e_mean, m.probe_delta_e_p95);
+  return text + fmt::format("dE2000       {:.3f} mean   between the fit and what its standard errors allow\n", m.delta_e_of_errors);
 }
 
 /// Which errors of the geometry are in the parameters' standard errors.
@@ -74,7 +77,7 @@ std::string calibration_text(const fit::FitResult& fit) {
   for (const fit::Parameter& p : fit.parameters)
     if (p.sigma > 0 && p.calibration_sigma > largest * p.sigma) largest = p.calibration_sigma / p.sigma, of = &p;
   if (!of) return "";
-  return fmt::format("geometry    its errors are in the standard errors: up to {:.0f} % of them ({})\n", 100 * largest, of->name);
+  return fmt::format("geometry     its errors are in the standard errors: up to {:.0f} % of them ({})\n", 100 * largest, of->name);
 }
 
 std::string to_text(const std::string& input, const std::string& description, const std::string& output, const fit::FitResult& fit, bool samples) {
@@ -150,12 +153,11 @@ NamedFit fit_one(const Options& options, const std::string& given, const Context
 }
 
 /// Complaints about the command line before an hour of work, not after it.
-void check(const Options& options, bool json) {
+void check(const Options& options) {
   options.fit.validate();
   if (!options.table.empty()) table_format(options.table);
   if (options.inputs.size() > 1 && !options.output.empty() && !std::filesystem::is_directory(options.output))
     throw Error(ErrorCode::usage, fmt::format("-o: expected an existing folder for the fits of {} inputs, got {}", options.inputs.size(), options.output));
-  if (options.inputs.size() > 1 && json) throw Error(ErrorCode::usage, "--json: expected one input");
 }
 
 }  // namespace
@@ -190,12 +192,15 @@ void add_fit(CLI::App& app, Context& context) {
   add_json_option(*command, context);
   command->callback([options, &context] {
     options->sample_options.min_cosine = options->fit.min_cosine = cosine_of_degrees("--max-theta-deg", options->max_theta_deg);
-    check(*options, context.json);
+    check(*options);
     std::vector<NamedFit> fits;
+    const bool list = context.json && options->inputs.size() > 1;  // an object each
     for (const std::string& input : options->inputs) {
-      if (!fits.empty() && !context.json) fmt::print("\n");
+      if (!context.json && !fits.empty()) fmt::print("\n");
+      if (list) fmt::print("{}", fits.empty() ? "[\n" : ",\n");
       fits.push_back(fit_one(*options, input, context));
     }
+    if (list) fmt::print("]\n");
     if (!options->table.empty()) brdf::write_text_atomically(options->table, fit_table_text(fits, table_format(options->table)));
   });
 }

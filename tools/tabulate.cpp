@@ -37,12 +37,12 @@ void add_tabulate(CLI::App& app, Context& context) {
     const calib::Calibration calibration = calib::read_calibration(calibration_file);
     calib::Tabulation result = calib::tabulate_session(session, calibration, options->samples, stderr_progress(context));
     auto provenance = nlohmann::ordered_json::parse(provenance_json(context, {(folder / "session.json").string(), calibration_file.string()}));
-    std::string repeatability;
-    for (const auto& channel : result.table.channels) {
-      const brdf::MirrorRepeatability r = brdf::mirror_repeatability(channel);
+    std::string repeatability = "mirror cells (phi_d, 180 deg - phi_d)    pairs   scatter of ln   promised      bias\n";
+    const auto& channels = result.table.channels;
+    for (std::size_t c = 0; c < channels.size(); ++c) {
+      const brdf::MirrorRepeatability r = brdf::mirror_repeatability(channels[c]);
       provenance["mirror"].push_back({{"pairs", r.n_pairs}, {"bias_log", r.bias_log}, {"scatter_log", r.scatter_log}, {"expected_log", r.expected_log}});
-      repeatability += fmt::format("mirror cells (phi_d, 180 deg - phi_d): {} pairs, scatter of ln {:.4f}, by the variances {:.4f}, bias {:+.4f}\n", r.n_pairs,
-                                   r.scatter_log, r.expected_log, r.bias_log);
+      repeatability += fmt::format("  {:<37} {:>6} {:>15.4f} {:>10.4f} {:>+9.4f}\n", channels.size() == 3 ? "RGB"[c] : 'Y', r.n_pairs, r.scatter_log, r.expected_log, r.bias_log);
     }
     std::size_t n_measured = 0, n_narrow = 0;
     const auto& middle = result.table.channels[result.table.channels.size() / 2];

@@ -47,6 +47,16 @@ TEST(FitCommand, JsonOnStdoutIsWhatGoesToTheFile) {
   }
 }
 
+TEST(FitCommand, JsonOfSeveralInputsIsAListInTheirOrder) {
+  const CommandResult run = run_lacquer("-q fit " + paint_file("white") + " " + paint_file("blue") + " --json --lobes 1 --max-cells 3000");
+  ASSERT_EQ(run.exit_code, 0) << run.err;
+  const auto j = nlohmann::json::parse(run.out);
+  ASSERT_TRUE(j.is_array());
+  ASSERT_EQ(j.size(), 2u);
+  EXPECT_NEAR(j[0].at("kd").at(0).get<double>(), 0.2, 0.05) << "white";
+  EXPECT_LT(j[1].at("kd").at(0).get<double>(), 0.05) << "blue";
+}
+
 TEST(FitCommand, SeveralPaintsGiveOneTableInTheirOrder) {
   TemporaryFolder folder;
   const auto table = [&](const std::string& extension) {
