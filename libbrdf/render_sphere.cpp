@@ -8,6 +8,7 @@
 
 #include "libbrdf/error.h"
 #include "libbrdf/metrics.h"
+#include "libbrdf/shading_frame.h"
 
 namespace lacquer::brdf {
 
@@ -15,30 +16,14 @@ namespace {
 
 constexpr double pi = std::numbers::pi;
 
-/// Rows of the shading frame whose x axis lies in the plane of normal and viewer (any tangent does for an
-/// isotropic BRDF).
-struct ShadingFrame {
-  glm::dvec3 tangent, bitangent, normal;
-
-  explicit ShadingFrame(const glm::dvec3& n) : tangent(1, 0, 0), bitangent(0, 1, 0), normal(n) {
-    const double sine = std::hypot(n.x, n.y);
-    if (sine == 0) return;
-    tangent = {-n.x * n.z / sine, -n.y * n.z / sine, sine};
-    bitangent = glm::cross(n, tangent);
-  }
-  glm::dvec3 operator()(const glm::dvec3& w) const {
-    return {glm::dot(w, tangent), glm::dot(w, bitangent), glm::dot(w, normal)};
-  }
-};
-
 /// Radiance towards the viewer; nullopt where the BRDF says nothing for one of the lights.
 std::optional<glm::dvec3> reflected(const Brdf& brdf, const glm::dvec3& normal,
                                     const std::vector<glm::dvec3>& lights) {
-  const ShadingFrame to_local(normal);
-  const glm::dvec3 wo = to_local({0, 0, 1});
+  const ShadingFrame frame(normal);
+  const glm::dvec3 wo = frame.to_local({0, 0, 1});
   glm::dvec3 radiance(0.0);
   for (const auto& light : lights) {
-    const glm::dvec3 wi = to_local(light);
+    const glm::dvec3 wi = frame.to_local(light);
     if (!(wi.z > 0)) continue;
     const auto f = brdf.value({wi, wo});
     if (!f) return std::nullopt;

@@ -186,6 +186,25 @@ constexpr double log_floor = -14;  // ln of the smallest colour and roughness: 8
 
 double log_of(double x) { return std::log(std::max(x, 1e-6)); }
 
+/// Starts of a base under a clear coat, from every lobe and two degrees of metal; parameters: logarithm of the base's colour, metal, its
+/// roughness, weight and roughness of the coat.
+template <typename Material>
+std::vector<Parametrisation<Material>> coated_starts(const brdf::CookTorrance& model) {
+  const auto lobes = lobes_of(model);
+  std::vector<Parametrisation<Material>> starts;
+  for (const auto& lobe : lobes)
+    for (const double metallic : {0.2, 0.8}) {
+      Parametrisation<Material> p;
+      for (int c = 0; c < 3; ++c) add(p, log_of(std::min(model.kd[c] + 3 * lobe.ks[c], 0.9)), log_floor, 0);
+      add(p, metallic, 0, 1);
+      add(p, std::sqrt(lobe.m), 0.01, 1);
+      add(p, 0.9, 0, 1);
+      add(p, std::sqrt(lobes.back().m), 0.01, 1);
+      starts.push_back(std::move(p));
+    }
+  return starts;
+}
+
 }  // namespace
 
 brdf::LuxCoreCarPaint refit_luxcore(const brdf::CookTorrance& model) {
@@ -218,48 +237,26 @@ brdf::LuxCoreCarPaint refit_luxcore(const brdf::CookTorrance& model) {
 }
 
 brdf::GltfClearcoat refit_gltf(const brdf::CookTorrance& model) {
-  using Material = brdf::GltfClearcoat;
-  const auto lobes = lobes_of(model);
-  std::vector<Parametrisation<Material>> starts;
-  for (const auto& lobe : lobes)
-    for (const double metallic : {0.2, 0.8}) {
-      Parametrisation<Material> p;
-      for (int c = 0; c < 3; ++c) add(p, log_of(std::min(model.kd[c] + 3 * lobe.ks[c], 0.9)), log_floor, 0);
-      add(p, metallic, 0, 1);
-      add(p, std::sqrt(lobe.m), 0.01, 1);
-      add(p, 0.9, 0, 1);
-      add(p, std::sqrt(lobes.back().m), 0.01, 1);
-      p.material = [](const Vector& x) {
-        return Material{{std::exp(x[0]), std::exp(x[1]), std::exp(x[2])}, x[3], x[4], x[5], x[6]};
-      };
-      starts.push_back(std::move(p));
-    }
+  auto starts = coated_starts<brdf::GltfClearcoat>(model);
+  for (auto& p : starts)
+    p.material = [](const Vector& x) { return brdf::GltfClearcoat{{std::exp(x[0]), std::exp(x[1]), std::exp(x[2])}, x[3], x[4], x[5], x[6]}; };
   return best_of(starts, targets_of(model));
 }
 
 brdf::OpenPbr refit_open_pbr(const brdf::CookTorrance& model) {
-  using Material = brdf::OpenPbr;
-  const auto lobes = lobes_of(model);
-  std::vector<Parametrisation<Material>> starts;
-  for (const auto& lobe : lobes)
-    for (const double metallic : {0.2, 0.8}) {
-      Parametrisation<Material> p;
-      for (int c = 0; c < 3; ++c) add(p, log_of(std::min(model.kd[c] + 3 * lobe.ks[c], 0.9)), log_floor, 0);
-      for (int c = 0; c < 3; ++c) add(p, 0.8, 0, 1);
-      add(p, metallic, 0, 1);
-      add(p, std::sqrt(lobe.m), 0.01, 1);
-      add(p, 0.9, 0, 1);
-      add(p, std::sqrt(lobes.back().m), 0.01, 1);
-      add(p, 1.5, 1.01, 3);
-      p.material = [](const Vector& x) {
-        Material m;
-        m.base_color = {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
-        m.specular_color = {x[3], x[4], x[5]};
-        m.base_metalness = x[6], m.specular_roughness = x[7], m.coat_weight = x[8], m.coat_roughness = x[9], m.coat_ior = x[10];
-        return m;
-      };
-      starts.push_back(std::move(p));
-    }
+  auto starts = coated_starts<brdf::OpenPbr>(model);
+  for (auto& p : starts) {
+    for (int c = 0; c < 3; ++c) add(p, 0.8, 0, 1);
+    add(p, 1.5, 1.01, 3);
+    p.material = [](const Vector& x) {
+      brdf::OpenPbr m;
+      m.base_color = {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
+      m.base_metalness = x[3], m.specular_roughness = x[4], m.coat_weight = x[5], m.coat_roughness = x[6];
+      m.specular_color = {x[7], x[8], x[9]};
+      m.coat_ior = x[10];
+      return m;
+    };
+  }
   return best_of(starts, targets_of(model));
 }
 

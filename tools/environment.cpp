@@ -15,6 +15,7 @@
 
 #include "libbrdf/error.h"
 #include "libbrdf/metrics.h"
+#include "libbrdf/shading_frame.h"
 
 namespace lacquer::tools {
 
@@ -53,26 +54,13 @@ double half_vector_pdf(double cosine, double m) {
   return std::exp(-(1 - c2) / (c2 * m * m)) / (pi * m * m * c2 * cosine);
 }
 
-/// Rows of the sphere's shading frame at `n`.
-struct Frame {
-  glm::dvec3 tangent, bitangent, normal;
-  explicit Frame(const glm::dvec3& n) : tangent(1, 0, 0), bitangent(0, 1, 0), normal(n) {
-    const double sine = std::hypot(n.x, n.y);
-    if (sine == 0) return;
-    tangent = {-n.x * n.z / sine, -n.y * n.z / sine, sine};
-    bitangent = glm::cross(n, tangent);
-  }
-  glm::dvec3 to_local(const glm::dvec3& w) const { return {glm::dot(w, tangent), glm::dot(w, bitangent), glm::dot(w, normal)}; }
-  glm::dvec3 to_world(const glm::dvec3& w) const { return w.x * tangent + w.y * bitangent + w.z * normal; }
-};
-
 struct PixelLight {
   glm::dvec3 reflected{0.0}, from_fallback{0.0};
   bool complete = true;
 };
 
 PixelLight reflected(const brdf::Brdf& brdf, const Environment& environment, const glm::dvec3& normal, const brdf::Brdf* fallback, int n, std::uint32_t pixel) {
-  const Frame frame(normal);
+  const brdf::ShadingFrame frame(normal);
   const glm::dvec3 wo = frame.to_local({0, 0, 1});
   const glm::dvec2 shift = shift_of(pixel);
   PixelLight light;

@@ -53,7 +53,7 @@ TEST(FitCommand, JsonOfSeveralInputsIsAListInTheirOrder) {
   const auto j = nlohmann::json::parse(run.out);
   ASSERT_TRUE(j.is_array());
   ASSERT_EQ(j.size(), 2u);
-  EXPECT_NEAR(j[0].at("kd").at(0).get<double>(), 0.2, 0.05) << "white";
+  EXPECT_GT(j[0].at("kd").at(0).get<double>(), 0.4) << "white";
   EXPECT_LT(j[1].at("kd").at(0).get<double>(), 0.05) << "blue";
 }
 
