@@ -224,8 +224,16 @@ std::vector<Trial> choose(const Cells& cells, std::vector<Trial> by_lobes, const
   }
 }
 
-FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& options,
-                      const Progress& progress) {
+/// Frees what is not asked for once places are known.
+void free_places(brdf::HalfAngleTable& table) {
+  for (brdf::TableChannel& t : table.channels) {
+    t.count = std::vector<std::uint32_t>();
+    for (auto* values : {&t.theta_h, &t.theta_d, &t.phi_d, &t.footprint_along, &t.footprint_across, &t.footprint_mixed}) *values = std::vector<float>();
+  }
+}
+
+/// `freed`: null, or the table itself, whose places are freed.
+FitResult fit_checked(const brdf::HalfAngleTable& table, brdf::HalfAngleTable* freed, const FitOptions& options, const Progress& progress) {
   constexpr std::size_t n_steps = 4;
   const auto step_done = [&](std::size_t step) {
     if (progress) progress("fit", step, n_steps);
@@ -239,16 +247,19 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
 
   FitResult result;
   result.options = options;
-  const UsableCells usable = usable_cells(table, options);
+  UsableCells usable = usable_cells(table, options);
   result.left_out = usable.left_out;
-  Observations all = observe(table, stratified_choice(usable, options.max_cells));
+  result.n_cells_available = usable.cells.size();
+  Observations subset = observe(table, stratified_choice(usable, std::min(options.max_cells, subset_cells)));
+  std::optional<Observations> fewer;
+  if (std::min(options.max_cells, usable.cells.size()) > 2 * middle_cells) fewer = observe(table, stratified_choice(usable, middle_cells));
+  if (usable.cells.size() > options.max_cells) usable = stratified_choice(usable, options.max_cells);
+  Observations all = observe(table, std::move(usable));
+  if (freed) free_places(*freed);
   while (!options.n_lobes && structures.size() > 1 &&
          all.n_values < 2 * static_cast<std::size_t>(ParameterLayout(n_channels, structures.back()).size()))
     structures.pop_back();
-  check_enough(all, usable.left_out, ParameterLayout(n_channels, structures.back()));
-  Observations subset = observe(table, stratified_choice(usable, std::min(options.max_cells, subset_cells)));
-  std::optional<Observations> fewer;
-  if (all.n_cells > 2 * middle_cells) fewer = observe(table, stratified_choice(usable, middle_cells));
+  check_enough(all, result.left_out, ParameterLayout(n_channels, structures.back()));
   Observations& middle = fewer ? *fewer : all;
   step_done(1);
   const auto minima = find_minima(subset, std::max(options.model_sigma, subset_sigma), structures, objective_options, options);
@@ -273,7 +284,6 @@ FitResult fit_checked(const brdf::HalfAngleTable& table, const FitOptions& optio
   result.converged = chosen.solution.converged;
   result.message = chosen.solution.message;
   result.n_cells = all.n_cells;
-  result.n_cells_available = usable.cells.size();
   result.n_residuals = all.n_values;
   result.n_bounds = all.n_bounds;
   const glm::dvec3 albedo = normal_incidence_albedo(result.model);
@@ -308,7 +318,9 @@ void FitOptions::validate() const {
   require(max_iterations >= 1, fmt::format("max_iterations: expected at least 1, got {}", max_iterations));
 }
 
-FitResult fit_table(const brdf::HalfAngleTable& table, const FitOptions& options, const Progress& progress) {
+namespace {
+
+FitResult fit_timed(const brdf::HalfAngleTable& table, brdf::HalfAngleTable* freed, const FitOptions& options, const Progress& progress) {
   options.validate();
   check_table(table);
   const auto start = std::chrono::steady_clock::now();
@@ -316,9 +328,19 @@ FitResult fit_table(const brdf::HalfAngleTable& table, const FitOptions& options
   const int cores = tbb::info::default_concurrency();
   tbb::task_arena arena(
       options.threads == 0 ? cores : std::min(cores, static_cast<int>(std::min(options.threads, 4096u))));
-  FitResult result = arena.execute([&] { return fit_checked(table, options, progress); });
+  FitResult result = arena.execute([&] { return fit_checked(table, freed, options, progress); });
   result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return result;
+}
+
+}  // namespace
+
+FitResult fit_table(const brdf::HalfAngleTable& table, const FitOptions& options, const Progress& progress) {
+  return fit_timed(table, nullptr, options, progress);
+}
+
+FitResult fit_and_free_places(brdf::HalfAngleTable& table, const FitOptions& options, const Progress& progress) {
+  return fit_timed(table, &table, options, progress);
 }
 
 }  // namespace lacquer::fit

@@ -137,6 +137,10 @@ struct FitResult {
 FitResult fit_table(const brdf::HalfAngleTable& table, const FitOptions& options = {},
                     const Progress& progress = {});
 
+/// The same in less memory: coordinates, footprints and counts of `table`, four fifths of it, are freed as soon as they have been seen.
+/// Means, variances and origins stay, so that the table can still be asked for values.
+FitResult fit_and_free_places(brdf::HalfAngleTable& table, const FitOptions& options = {}, const Progress& progress = {});
+
 /// Measures how long the candidates take to evaluate in an array on this machine (milliseconds of work).
 void add_evaluation_costs(FitResult& fit);
 

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <vector>
 
 #include "libfit/kernels.h"
@@ -46,15 +47,18 @@ Sum sum_over(const Observations& observations, const Add& add) {
   return total;
 }
 
-double log_of(double value, const brdf::CookTorrance& model, const Observations& observations, const CellSet& set, std::size_t k,
-              std::size_t c) {
+/// Logarithm of `value`, the model's at cell k of a set in its channel c. Where it underflows, from the model's logarithmic form at other
+/// directions of the same half and difference angle: the lobes are all that counts there, and they change by `front` alone.
+double log_of(double value, const brdf::CookTorrance& model, const CellSet& set, std::size_t k, std::size_t c) {
   if (value > smallest) return std::log(value);
-  const std::size_t channel = static_cast<std::size_t>(set.first_channel) + c;
-  const brdf::TableChannel& t = observations.table->channels[channel];
-  const std::uint32_t i = set.cell[k];
-  auto cosines = brdf::half_angle_cosines(brdf::HalfDiff{t.theta_h[i], t.theta_d[i], t.phi_d[i]});
-  cosines.footprint = {t.footprint_along[i], t.footprint_across[i], t.footprint_mixed[i]};
-  return model.log_value(cosines)[static_cast<int>(channel)];
+  brdf::HalfAngleCosines<double> cosines;
+  cosines.tan2_theta_h = set.tan2_theta_h[k];
+  cosines.n_dot_h = 1 / std::sqrt(1 + cosines.tan2_theta_h);
+  cosines.i_dot_h = 1 - std::pow(double{set.schlick_weight[k]}, 0.2);
+  cosines.n_dot_i = cosines.n_dot_o = 1;
+  if (!set.along.empty()) cosines.footprint = {set.along[k], set.across[k], set.mixed[k]};
+  const double log_front = std::log(brdf::geometry_over_cosines(cosines) * std::numbers::inv_pi) - 4 * std::log(cosines.n_dot_h);
+  return model.log_value(cosines)[set.first_channel + static_cast<int>(c)] + std::log(double{set.front[k]}) - log_front;
 }
 
 }  // namespace
@@ -76,7 +80,7 @@ LogErrors log_errors(const Observations& observations, const brdf::CookTorrance&
       for (std::size_t k = begin; k < end; ++k) {
         if (!counts(k)) continue;
         const double f = values[c][k - begin];
-        to.add(f > smallest ? ratios[k - begin] : log_of(f, model, observations, set, k, c) - std::log(double{means[set.cell[k]]}));
+        to.add(f > smallest ? ratios[k - begin] : log_of(f, model, set, k, c) - std::log(double{means[set.cell[k]]}));
       }
     }
   });
@@ -93,7 +97,7 @@ double mean_abs_log_ratio(const Observations& observations, const brdf::CookTorr
       for (std::size_t k = begin; k < end; ++k) {
         const double fa = of_a[c][k - begin], fb = of_b[c][k - begin];
         to.add(fa > smallest && fb > smallest ? std::log(fa / fb)
-                                              : log_of(fa, a, observations, set, k, c) - log_of(fb, b, observations, set, k, c));
+                                              : log_of(fa, a, set, k, c) - log_of(fb, b, set, k, c));
       }
   });
   return sum.n ? sum.sum / static_cast<double>(sum.n) : 0;

@@ -16,6 +16,7 @@ namespace lacquer::fit {
 struct CellSet {
   int first_channel = 0, n_channels = 0;
   std::vector<std::uint32_t> cell;    ///< index in the table's grid, ascending
+  std::vector<std::uint8_t> usable;   ///< of each cell: bit c: channel c of the table is
   std::vector<float> tan2_theta_h;    ///< tan^2(theta_h)
   std::vector<float> schlick_weight;  ///< (1 - cos(theta_d))^5
   std::vector<float> front;           ///< G / (pi (n.wi)(n.wo) cos^4(theta_h)): what of a lobe depends on the directions alone
@@ -25,14 +26,14 @@ struct CellSet {
     /// 1 / sigma of the logarithm; minus 1 / sigma of the value where values are compared; 0: not used.
     std::vector<float> inverse_sigma;
   };
-  std::array<Channel, 3> channels;  ///< [0, n_channels)
+  std::array<Channel, 3> channels;  ///< [0, n_channels); empty before `weigh`
 
   std::size_t size() const { return cell.size(); }
 };
 
 /// What a fit sees of a table: cells whose channels lie at the same place, then those of each channel that do not.
 struct Observations {
-  const brdf::HalfAngleTable* table = nullptr;  ///< must outlive the observations
+  const brdf::HalfAngleTable* table = nullptr;  ///< must outlive the observations; only its means, variances and origins are read again
   int n_channels = 3;
   std::vector<CellSet> sets;
   std::size_t n_cells = 0;   ///< with at least one usable channel
@@ -41,7 +42,7 @@ struct Observations {
 };
 
 /// Observations of these cells at their mean coordinates, to be weighted by `weigh`. Keeps a reference to the table.
-Observations observe(const brdf::HalfAngleTable& table, const UsableCells& cells);
+Observations observe(const brdf::HalfAngleTable& table, UsableCells cells);
 
 /// Sets target and sigma of every value. `reference`: model whose values stand in for the noisy means, so that a weight does not depend
 /// on the noise of its own cell (which would bias the fit); null: the means themselves.

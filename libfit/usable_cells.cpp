@@ -102,7 +102,13 @@ std::uint64_t total_with_limit(const std::vector<std::uint32_t>& sizes, std::uin
 UsableCells usable_cells(const brdf::HalfAngleTable& table, const FitOptions& options) {
   constexpr std::size_t per_row = std::size_t{TableGrid::n_theta_d} * TableGrid::n_phi_d;
   const double safe_angle = std::acos(std::max(options.min_cosine, nearest_to_horizon)) - 1e-5;
-  std::vector<UsableCells> rows(TableGrid::n_theta_h);
+  struct Row {
+    std::size_t n = 0;
+    bool footprints = false;
+    LeftOut left_out;
+  };
+  std::vector<Row> rows(TableGrid::n_theta_h);
+  std::vector<std::uint8_t> channels_of(TableGrid::n_cells);
   tbb::parallel_for(std::size_t{0}, rows.size(), [&](std::size_t row) {
     for (std::size_t i = row * per_row; i < (row + 1) * per_row; ++i) {
       unsigned channels = 0;
@@ -116,24 +122,26 @@ UsableCells usable_cells(const brdf::HalfAngleTable& table, const FitOptions& op
         channels |= 1u << c;
         rows[row].footprints |= t.footprint_along[i] != 0 || t.footprint_across[i] != 0;
       }
-      if (channels == 0) continue;
-      rows[row].cells.push_back(static_cast<std::uint32_t>(i));
-      rows[row].channels.push_back(static_cast<std::uint8_t>(channels));
+      channels_of[i] = static_cast<std::uint8_t>(channels);
+      rows[row].n += channels != 0;
     }
   });
   UsableCells all;
   std::size_t n = 0;
-  for (const UsableCells& row : rows) n += row.cells.size();
-  all.cells.reserve(n);
-  all.channels.reserve(n);
-  for (const UsableCells& row : rows) {
-    all.cells.insert(all.cells.end(), row.cells.begin(), row.cells.end());
-    all.channels.insert(all.channels.end(), row.channels.begin(), row.channels.end());
+  for (const Row& row : rows) {
+    n += row.n;
     all.footprints |= row.footprints;
     all.left_out.grazing += row.left_out.grazing;
     all.left_out.not_positive += row.left_out.not_positive;
     all.left_out.not_finite += row.left_out.not_finite;
     all.left_out.not_measured += row.left_out.not_measured;
+  }
+  all.cells.reserve(n);
+  all.channels.reserve(n);
+  for (std::size_t i = 0; i < channels_of.size(); ++i) {
+    if (channels_of[i] == 0) continue;
+    all.cells.push_back(static_cast<std::uint32_t>(i));
+    all.channels.push_back(channels_of[i]);
   }
   return all;
 }

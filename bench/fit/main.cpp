@@ -10,6 +10,7 @@
 #include <fstream>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <numeric>
 #include <random>
 
 #include "libbrdf/brdf.h"
@@ -65,7 +66,7 @@ double largest_error(const std::vector<double>& x, const std::vector<double>& tr
 double peak_memory_mb() {
   rusage usage{};
   getrusage(RUSAGE_SELF, &usage);
-  return static_cast<double>(usage.ru_maxrss) / 1024;
+  return static_cast<double>(usage.ru_maxrss) * 1024 / 1e6;
 }
 
 struct SciPy {
@@ -103,8 +104,14 @@ void speed(const std::filesystem::path& folder, const std::string& plot, int lim
   set_noisy(table, noise, 1, table);
   if (!smoke) {
     const double before = peak_memory_mb();
+    const fit::FitResult fit = fit::fit_and_free_places(table, {.model_sigma = 1e-3});
+    const double lean = peak_memory_mb();
+    table = brdf::HalfAngleTable(0);
+    table = table_of(truth);
+    set_noisy(table, noise, 1, table);
     fit::fit_table(table, {.model_sigma = 1e-3});
-    fmt::print("all cells, structure chosen: peak memory {:.0f} MB, before the fit {:.0f} MB\n", peak_memory_mb(), before);
+    fmt::print("all {} cells, structure chosen: peak memory {:.0f} MB, before the fit {:.0f} MB; {:.0f} MB where the table is to stay whole\n", fit.n_cells,
+               lean, before, peak_memory_mb());
   }
   fmt::print("cells   ours s (three lobes)  with selection s  largest parameter error %   SciPy s  largest error %\n");
   std::vector<std::vector<double>> columns(6);
@@ -146,35 +153,107 @@ void selection(std::size_t max_cells) {
     }
 }
 
+/// The table with these cells alone.
+brdf::HalfAngleTable only_chosen(const brdf::HalfAngleTable& table, std::size_t max_cells) {
+  brdf::HalfAngleTable chosen = table;
+  const fit::UsableCells cells = fit::stratified_choice(fit::usable_cells(table, {}), max_cells);
+  for (auto& channel : chosen.channels) {
+    channel.origin.assign(brdf::TableGrid::n_cells, brdf::CellOrigin::empty);
+    for (const std::uint32_t i : cells.cells) channel.origin[i] = brdf::CellOrigin::measured;
+  }
+  return chosen;
+}
+
+/// How many of `repeats` independent draws with probability `p` are hits, for each of several quantities that may depend on each other.
+struct Hits {
+  double p;
+  std::vector<std::vector<double>> of_repeat;  ///< 0 or 1, by repeat and quantity
+
+  double n() const { return static_cast<double>(of_repeat.size()); }
+  double share(std::size_t k) const {
+    double sum = 0;
+    for (const auto& hits : of_repeat) sum += hits[k];
+    return sum / n();
+  }
+  /// Of all quantities together.
+  double share() const {
+    double sum = 0;
+    for (std::size_t k = 0; k < of_repeat.front().size(); ++k) sum += share(k);
+    return sum / static_cast<double>(of_repeat.front().size());
+  }
+  /// Standard error of that by the scatter of whole repeats, whose quantities depend on each other.
+  double share_sigma() const {
+    double sum = 0;
+    for (const auto& hits : of_repeat) sum += std::pow(std::accumulate(hits.begin(), hits.end(), 0.0) / static_cast<double>(hits.size()) - share(), 2);
+    return std::sqrt(sum / (n() - 1) / n());
+  }
+  /// What chance gives one quantity, 1 sigma.
+  double chance() const { return std::sqrt(p * (1 - p) / n()); }
+  /// Sum over the quantities of their squared distance from p in units of `chance`: so many as quantities are expected.
+  double chi2() const {
+    double sum = 0;
+    for (std::size_t k = 0; k < of_repeat.front().size(); ++k) sum += std::pow((share(k) - p) / chance(), 2);
+    return sum;
+  }
+  /// Standard deviation of chi2 if all is right: the variance of a sum of squares of normal variables is twice the sum of their squared correlations.
+  double chi2_sigma() const {
+    double sum = 0;
+    const std::size_t size = of_repeat.front().size();
+    for (std::size_t a = 0; a < size; ++a)
+      for (std::size_t b = 0; b < size; ++b) {
+        double both = 0;
+        for (const auto& hits : of_repeat) both += (hits[a] - p) * (hits[b] - p);
+        sum += std::pow(both / n() / (p * (1 - p)), 2);
+      }
+    return std::sqrt(2 * sum);
+  }
+  std::size_t outside(double low, double high) const {
+    std::size_t count = 0;
+    for (std::size_t k = 0; k < of_repeat.front().size(); ++k) count += share(k) < low || share(k) > high;
+    return count;
+  }
+};
+
+void print_summary(const Hits& hits, double low, double high) {
+  const double size = static_cast<double>(hits.of_repeat.front().size());
+  const double by_chance = size * (0.5 * std::erfc((hits.p - low) / hits.chance() / std::sqrt(2)) + 0.5 * std::erfc((high - hits.p) / hits.chance() / std::sqrt(2)));
+  fmt::print("{:.0f} % intervals: all parameters together {:.2f} % +- {:.2f} (one of {:.0f} repeats scatters by {:.1f}); chi2 over parameters {:.1f}, expected {:.0f} +- {:.1f}; "
+             "outside {:.0f}..{:.0f} %: {}, by chance alone {:.1f}\n",
+             100 * hits.p, 100 * hits.share(), 100 * hits.share_sigma(), hits.n(), 100 * hits.chance(), hits.chi2(), size, hits.chi2_sigma(), 100 * low,
+             100 * high, hits.outside(low, high), by_chance);
+}
+
+/// Tables of a paint whose parameters are all within their bounds, with noise of their own: is the truth within the intervals as often as they say?
 void coverage(int repeats, std::size_t max_cells) {
-  const brdf::CookTorrance truth = paint("ford-f8");  // no parameter at a bound
-  const brdf::HalfAngleTable clean = table_of(truth);
+  const brdf::CookTorrance truth = paint("ford-f8");
+  const brdf::HalfAngleTable clean = only_chosen(table_of(truth), max_cells);
   brdf::HalfAngleTable table = clean;
   const std::vector<double> expected = values_of(truth);
-  std::vector<int> one(expected.size()), two(expected.size());
-  std::vector<double> largest;
-  std::string names;
+  Hits one{0.68, {}}, two{0.95, {}};
+  std::vector<double> largest, sum(expected.size()), squares(expected.size());
+  std::vector<fit::Parameter> parameters;
   for (int seed = 1; seed <= repeats; ++seed) {
     set_noisy(clean, noise, static_cast<std::uint64_t>(seed), table);
-    const fit::FitResult fit = fit::fit_table(table, {.n_lobes = 3, .n_starts = 2, .max_cells = max_cells, .model_sigma = 1e-4});
+    const fit::FitResult fit = fit::fit_table(table, {.n_lobes = 3, .n_starts = 2, .model_sigma = 1e-4});
+    one.of_repeat.emplace_back(), two.of_repeat.emplace_back();
     for (std::size_t k = 0; k < expected.size(); ++k) {
-      const double pull = std::abs(fit.parameters[k].value - expected[k]) / fit.parameters[k].sigma;
-      one[k] += pull < 0.994458;  // 68 %
-      two[k] += pull < 1.959964;  // 95 %
+      const double pull = (fit.parameters[k].value - expected[k]) / fit.parameters[k].sigma;
+      one.of_repeat.back().push_back(std::abs(pull) < 0.994458);
+      two.of_repeat.back().push_back(std::abs(pull) < 1.959964);
+      sum[k] += pull, squares[k] += pull * pull;
     }
     largest.push_back(largest_error(values_of(fit.model), expected));
+    parameters = fit.parameters;
   }
-  const fit::FitResult last = fit::fit_table(table, {.n_lobes = 3, .n_starts = 2, .max_cells = max_cells, .model_sigma = 1e-4});
-  fmt::print("parameter  inside 68 %  inside 95 %   ({} repeats)\n", repeats);
-  double sum1 = 0, sum2 = 0;
-  for (std::size_t k = 0; k < expected.size(); ++k) {
-    fmt::print("{:<10} {:8.1f}  {:8.1f}\n", last.parameters[k].name, 100.0 * one[k] / repeats, 100.0 * two[k] / repeats);
-    sum1 += one[k], sum2 += two[k];
-  }
-  const double n = static_cast<double>(repeats) * static_cast<double>(expected.size());
+  fmt::print("parameter  inside 68 %  inside 95 %  error / sigma: mean   RMS   ({} repeats, {} cells: +- {:.1f}, {:.1f}, {:.2f}, {:.2f})\n", repeats, max_cells,
+             100 * one.chance(), 100 * two.chance(), 1 / std::sqrt(repeats), 1 / std::sqrt(2.0 * repeats));
+  for (std::size_t k = 0; k < expected.size(); ++k)
+    fmt::print("{:<10} {:8.1f}     {:8.1f}              {:+8.2f}  {:6.2f}\n", parameters[k].name, 100 * one.share(k), 100 * two.share(k), sum[k] / repeats,
+               std::sqrt(squares[k] / repeats));
+  print_summary(one, 0.64, 0.72);
+  print_summary(two, 0.93, 0.97);
   std::sort(largest.begin(), largest.end());
-  fmt::print("all        {:8.1f}  {:8.1f}\nlargest error of a parameter: median {:.2f} %, worst repeat {:.2f} %\n", 100 * sum1 / n, 100 * sum2 / n,
-             100 * largest[largest.size() / 2], 100 * largest.back());
+  fmt::print("largest error of a parameter: median {:.2f} %, worst repeat {:.2f} %\n", 100 * largest[largest.size() / 2], 100 * largest.back());
 }
 
 /// Least cost of the same objective on the same cells and weights, by SciPy from random starts; NaN: none came back.
