@@ -4,7 +4,6 @@
 #include <cmath>
 #include <filesystem>
 #include <memory>
-#include <optional>
 #include <vector>
 
 #include "libbrdf/brdf.h"
@@ -35,10 +34,30 @@ struct Options {
   fit::FitOptions fit;
 };
 
-/// A table as it is, without a copy (it is large); any other BRDF at the centres of the table's cells, put into `storage`.
-const brdf::HalfAngleTable& table_of(const brdf::Brdf& input, double min_cosine, std::optional<brdf::HalfAngleTable>& storage) {
-  if (const auto* table = dynamic_cast<const brdf::TableBrdf*>(&input)) return table->table();
-  return storage.emplace(brdf::tabulate_brdf(input, min_cosine));
+/// What was fitted, for what the fit is judged by afterwards.
+struct Fitted {
+  fit::FitResult fit;
+  std::unique_ptr<brdf::Brdf> input;
+  bool absolute_scale = true;
+};
+
+/// Fits a table as it is; any other BRDF at the centres of the table's cells. A table of our own is large and read for this fit alone: what is
+/// not needed any more is freed on the way.
+Fitted fit_file(const std::string& file, fit::FitOptions options, const Progress& progress) {
+  if (std::filesystem::path(file).extension() == ".exr") {
+    brdf::HalfAngleTable table = brdf::read_table(file);
+    options.half_vector_sigma = half_vector_sigma_of(table.provenance_json);
+    Fitted fitted{fit::fit_and_free_places(table, options, progress), nullptr, table.absolute_scale};
+    fitted.input = std::make_unique<brdf::TableBrdf>(std::move(table), "table " + file);
+    return fitted;
+  }
+  auto input = brdf::load_brdf(file);
+  if (const auto* in = dynamic_cast<const brdf::TableBrdf*>(input.get())) {
+    options.half_vector_sigma = half_vector_sigma_of(in->table().provenance_json);
+    return {fit::fit_table(in->table(), options, progress), std::move(input), in->table().absolute_scale};
+  }
+  brdf::HalfAngleTable cells = brdf::tabulate_brdf(*input, options.min_cosine);
+  return {fit::fit_and_free_places(cells, options, progress), std::move(input), cells.absolute_scale};
 }
 
 std::string one_line(const brdf::CookTorrance& model) {
@@ -70,7 +89,7 @@ std::string metrics_text(const fit::FitMetrics& m) {
   return text + fmt::format("dE2000       {:.3f} mean   between the fit and what its standard errors allow\n", m.delta_e_of_errors);
 }
 
-/// Which errors of the geometry are in the parameters' standard errors.
+/// How much of the parameters' standard errors comes from those of the geometry, of a fit to samples.
 std::string calibration_text(const fit::FitResult& fit) {
   double largest = 0;
   const fit::Parameter* of = nullptr;
@@ -86,7 +105,7 @@ std::string to_text(const std::string& input, const std::string& description, co
   text += fmt::format("\nmean |ln|    {:.4g}   ln = natural logarithm of fit / table\nrms ln       {:.4g}\n",
                       fit.mean_abs_log, fit.rms_log);
   if (fit.metrics) text += metrics_text(*fit.metrics);
-  text += calibration_text(fit);
+  text += samples ? calibration_text(fit) : table_geometry_note(fit.options.half_vector_sigma, "SESSION");
   text += fmt::format("chi2/n       {:.4g}{}\n", fit.reduced_chi2,
                       fit.reduced_chi2 > 1 ? "   above 1: standard errors are scaled up by its root" : "");
   if (fit.shared_error > 0)
@@ -131,24 +150,20 @@ void refit_to_samples(const Options& options, const std::filesystem::path& folde
 /// Fits one input and reports on it.
 NamedFit fit_one(const Options& options, const std::string& given, const Context& context) {
   const std::string name = options.samples ? (std::filesystem::path(given) / "table.exr").string() : given;
-  const auto input = brdf::load_brdf(name);
-  std::optional<brdf::HalfAngleTable> storage;
-  const brdf::HalfAngleTable& table = table_of(*input, options.fit.min_cosine, storage);
-  fit::FitOptions fit_options = options.fit;
-  fit_options.half_vector_sigma = half_vector_sigma_of(table.provenance_json);
-  NamedFit named{std::filesystem::path(name).stem().string(), fit::fit_table(table, fit_options, stderr_progress(context))};
+  Fitted fitted = fit_file(name, options.fit, stderr_progress(context));
+  NamedFit named{std::filesystem::path(name).stem().string(), std::move(fitted.fit)};
   if (options.samples) {
     named.name = std::filesystem::path(given).filename().string();
-    refit_to_samples(options, given, table.absolute_scale, context, named.fit);
+    refit_to_samples(options, given, fitted.absolute_scale, context, named.fit);
   }
   fit::add_evaluation_costs(named.fit);
-  add_metrics(*input, named.fit);
+  add_metrics(*fitted.input, named.fit);
   const std::string provenance = provenance_json(context, {name}), output = output_of(options, name);
-  if (!output.empty()) fit::write_fit(output, named.fit, table.absolute_scale, provenance);
+  if (!output.empty()) fit::write_fit(output, named.fit, fitted.absolute_scale, provenance);
   if (context.json)
-    fmt::print("{}", fit::fit_to_json(named.fit, table.absolute_scale, provenance));
+    fmt::print("{}", fit::fit_to_json(named.fit, fitted.absolute_scale, provenance));
   else
-    fmt::print("{}", to_text(given, input->description(), output, named.fit, options.samples));
+    fmt::print("{}", to_text(given, fitted.input->description(), output, named.fit, options.samples));
   return named;
 }
 

@@ -1,5 +1,7 @@
 #include "tools/geometry_provenance.h"
 
+#include <fmt/format.h>
+
 #include <nlohmann/json.hpp>
 
 namespace lacquer::tools {
@@ -18,6 +20,14 @@ double half_vector_sigma_of(const std::string& provenance_json) {
   if (found == j["geometry_sigma"].end() || !found->is_number()) return 0;
   const double sigma = found->get<double>();
   return sigma > 0 && sigma < 1 ? sigma : 0;
+}
+
+std::string table_geometry_note(double half_vector_sigma, const std::string& session) {
+  if (!(half_vector_sigma > 0)) return "";
+  return fmt::format(
+      "geometry    was estimated; of its errors a table has the distance of the lights (kd, ks) and the blur of lobes (m) alone:\n"
+      "            standard errors of m and r are too small; all of them has: lacquer fit {} --samples\n",
+      session);
 }
 
 }  // namespace lacquer::tools

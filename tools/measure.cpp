@@ -13,6 +13,7 @@
 #include "tools/capture_guard.h"
 #include "tools/drift_report.h"
 #include "tools/dry_run.h"
+#include "tools/geometry_provenance.h"
 #include "tools/json_output.h"
 #include "tools/measure_chain.h"
 #include "tools/measure_record.h"
@@ -52,7 +53,7 @@ std::string stage_text(const Measurement& m) {
 void print_text(const Measurement& m, const brdf::CookTorrance* truth) {
   fmt::print("{}\n{}\n\n", coverage_text(m.tabulation), light_and_dark_text(m.calibration));
   if (m.geometry) print_geometry(*m.geometry, m.session);
-  fmt::print("{}\n", parameter_table(m.fit, truth));
+  fmt::print("{}{}\n", parameter_table(m.fit, truth), table_geometry_note(m.fit.options.half_vector_sigma, m.session.folder.string()));
   fmt::print("scale: {}\n", m.tabulation.table.absolute_scale ? "absolute, 1/sr" : "relative (no reference of known reflectance)");
   if (const double sigma = m.tabulation.table.scale_sigma; sigma > 0)
     fmt::print("known to {:.2g} %, from how steady the lights were and how far away they stand; this is in the errors of kd and ks, which share it\n", 100 * sigma);

@@ -3,6 +3,7 @@
 #include "libacquire/open_rig.h"
 #include "libbrdf/files.h"
 #include "libcalib/merge_session.h"
+#include "tools/fit_metrics.h"
 #include "tools/geometry_provenance.h"
 #include "tools/stopwatch.h"
 
@@ -59,7 +60,10 @@ Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const br
   m.seconds.emplace_back("write table", watch.lap());
   fit::FitOptions fit_options = options.fit;
   fit_options.half_vector_sigma = m.tabulation.geometry_sigma.half_vector_rad;
-  m.fit = fit::fit_table(m.tabulation.table, fit_options, progress);
+  m.fit = fit::fit_and_free_places(m.tabulation.table, fit_options, progress);
+  const brdf::TableBrdf measured(std::move(m.tabulation.table), "table");
+  add_metrics(measured, m.fit);
+  m.tabulation.table = measured.table();
   fit::write_fit(folder / "fit.json", m.fit, m.tabulation.table.absolute_scale, options.provenance_json);
   m.seconds.emplace_back("fit", watch.lap());
   calib::RerenderOptions rerender;

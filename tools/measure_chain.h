@@ -39,7 +39,7 @@ struct Measurement {
   std::size_t n_frames = 0;
   calib::Calibration calibration;
   std::optional<calib::SessionGeometry> geometry;  ///< if it was estimated
-  calib::Tabulation tabulation;
+  calib::Tabulation tabulation;  ///< of the table means, variances and origins; the places of its cells only in the session's table.exr
   fit::FitResult fit;
   std::vector<calib::ViewError> view_errors;           ///< the fit against every merged photograph
   std::vector<std::pair<std::string, double>> seconds; ///< stage, wall time
