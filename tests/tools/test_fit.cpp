@@ -110,6 +110,21 @@ TEST(FitCommand, BadInputIsOneLineAndExitOne) {
   expect_one_line("fit", 2, "TABLE");
 }
 
+TEST(FitCommand, OfATableWithAnEstimatedGeometryItIsSaidWhatTheErrorsLack) {
+  TemporaryFolder folder;
+  brdf::HalfAngleTable table = brdf::tabulate_brdf(*brdf::load_brdf(paint_file("blue")), 0.1);
+  table.channels.resize(1);
+  const auto output_of_fit = [&](const std::string& provenance) {
+    table.provenance_json = provenance;
+    brdf::write_table(folder / "table.exr", table);
+    const CommandResult run = run_lacquer("-q fit --lobes 1 --max-cells 1000 " + (folder / "table.exr").string());
+    EXPECT_EQ(run.exit_code, 0) << run.err;
+    return run.out;
+  };
+  EXPECT_NE(output_of_fit(R"({"geometry_sigma": {"half_vector_rad": 0.001, "light_distance": 0.002}})").find("lacquer fit SESSION --samples"), std::string::npos);
+  EXPECT_EQ(output_of_fit("{}").find("--samples"), std::string::npos);
+}
+
 TEST(FitCommand, SamplesOfASessionAgreeWithItsTable) {
   TemporaryFolder folder;
   const std::string session = (folder / "session").string(), output = (folder / "samples.json").string();
@@ -124,6 +139,7 @@ TEST(FitCommand, SamplesOfASessionAgreeWithItsTable) {
     const double sigma = std::max(s.at("sigma").get<double>(), t.at("sigma").get<double>());
     EXPECT_LE(std::abs(s.at("value").get<double>() - t.at("value").get<double>()), 3 * sigma) << s.at("name");
   }
+  for (const auto& [name, value] : samples.at("metrics").items()) EXPECT_TRUE(table.at("metrics").contains(name)) << "measure writes it too: " << name;
   const CommandResult missing = run_lacquer("-q fit --samples " + (folder / "nothing").string());
   EXPECT_EQ(missing.exit_code, 1);
   EXPECT_NE(missing.err.find("table.exr"), std::string::npos) << missing.err;
