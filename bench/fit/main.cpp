@@ -141,10 +141,12 @@ void speed(const std::filesystem::path& folder, const std::string& plot, int lim
 }
 
 void selection(std::size_t max_cells) {
+  std::vector<std::pair<std::string, brdf::CookTorrance>> models{{"lambertian", {{0.3, 0.4, 0.5}, {}}}, {"one lobe", {{0.05, 0.06, 0.07}, {{{0.1, 0.12, 0.09}, 0.1, 0.4}}}}};
+  for (const std::string& name : paint_names) models.emplace_back(name, paint(name));
   fmt::print("paint            noise %  chosen                     next best (criterion)\n");
   for (const double relative : {0.01, 0.05})
-    for (const std::string& name : paint_names) {
-      const brdf::HalfAngleTable clean = table_of(paint(name));
+    for (const auto& [name, model] : models) {
+      const brdf::HalfAngleTable clean = table_of(model);
       brdf::HalfAngleTable table = clean;
       set_noisy(clean, relative, 1, table);
       const fit::FitResult fit = fit::fit_table(table, {.max_cells = max_cells});
