@@ -61,11 +61,12 @@ Measurement measure(const acquire::RigDescription& rig, std::shared_ptr<const br
   fit::FitOptions fit_options = options.fit;
   fit_options.half_vector_sigma = m.tabulation.geometry_sigma.half_vector_rad;
   m.fit = fit::fit_and_free_places(m.tabulation.table, fit_options, progress);
+  m.seconds.emplace_back("fit", watch.lap());
   const brdf::TableBrdf measured(std::move(m.tabulation.table), "table");
   add_metrics(measured, m.fit);
   m.tabulation.table = measured.table();
   fit::write_fit(folder / "fit.json", m.fit, m.tabulation.table.absolute_scale, options.provenance_json);
-  m.seconds.emplace_back("fit", watch.lap());
+  m.seconds.emplace_back("metrics", watch.lap());
   calib::RerenderOptions rerender;
   rerender.samples = options.samples;
   m.view_errors = calib::rerender_session(m.session, m.calibration, brdf::CookTorranceBrdf(m.fit.model), rerender,
