@@ -225,9 +225,9 @@ Plot slice_plot(const Slice& slice, const std::string& title) {
   for (const double d : {0.0, 0.1, 0.5, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 90.0}) tics += fmt::format("{}'{:g}' {:.4f}", tics.empty() ? "" : ", ", d, 90 * std::sqrt(d / 90) - 0.5);
   std::string degrees;
   for (int d = 0; d <= 90; d += 15) degrees += fmt::format("{}'{}' {}", d ? ", " : "", d, d - 0.5);
-  const std::string cb = slice.logarithmic ? "set format cb '10^{%.1f}'\n" : "set format cb '%g'\n";
+  const std::string cb = slice.logarithmic ? "set format cb '10^{%.2g}'\n" : "set format cb '%g'\n";
   return {matrix("slice", slice.values, TableGrid::n_theta_d) + (slice.diverging ? blue_white_red : viridis) + cb +
-              fmt::format("set title {}\nset cbrange [{}:{}]\nset cblabel {}\nset xrange [-0.5:89.5]\nset yrange [89.5:-0.5]\nset xtics ({})\nset ytics ({})\n"
+              fmt::format("set title {}\nset rmargin at screen 0.76\nset cbrange [{}:{}]\nset cblabel {}\nset xrange [-0.5:89.5]\nset yrange [89.5:-0.5]\nset xtics ({})\nset ytics ({})\n"
                           "set xlabel 'theta_d / degrees' noenhanced\nset ylabel 'theta_h / degrees' noenhanced\nunset grid\nplot $slice matrix with image\n",
                           plot_text(title), slice.low, slice.high, plot_text(slice.unit), degrees, tics),
           {520, 430}, title + ": theta_h down, theta_d to the right, " + slice.unit + " as colour"};

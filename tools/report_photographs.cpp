@@ -81,7 +81,7 @@ std::string errors_figure(const std::vector<calib::ViewError>& errors) {
   }
   if (sorted.empty()) return "";
   std::sort(sorted.begin(), sorted.end());
-  return html_figure(html_plot(plot_data("e", columns) + "set xlabel 'view'\nset ylabel 'per cent'\nset key top right\n"
+  return html_figure(html_plot(plot_data("e", columns) + "set xlabel 'view'\nset ylabel 'per cent'\nset key outside top horizontal\n"
                                                          "plot $e using 1:2 with linespoints lc rgb blue title 'relative RMS', $e using 1:3 with linespoints lc rgb vermilion title 'mean ln(fit / photograph)'\n",
                                {900, 320}, "errors-", "Error of the re-rendering over the views"),
                      fmt::format("Every photograph against the fit: relative RMS {:.2f} % median, {:.2f} % worst.", 100 * sorted[sorted.size() / 2], 100 * sorted.back()), "wide") +
