@@ -168,7 +168,7 @@ class Evidence {
       for (std::size_t i = first; i < last; ++i) {
         if (!(weight_[i] > 0)) continue;
         const PaintSample& s = samples_[i];
-        double sum = 0;
+        double sum = 0, twist = 0;
         glm::dvec2 slope(0.0);
         bool all = true;
         for (const double u : {-1.0, 1.0})
@@ -178,10 +178,11 @@ class Evidence {
             if (!seen) continue;
             const double level = seen->log_irradiance + paint_at(seen->coordinates);
             sum += level / 4;
+            twist += u * v * level / 4;
             slope += glm::dvec2(u, v) * (level / 4);
           }
         const double bend = sum - seen_[i].log_irradiance - paint_at(seen_[i].coordinates);
-        bend_[i] = all ? (1 + options_.blur) * bend + options_.blur * 0.5 * glm::dot(slope, slope) : 0;
+        bend_[i] = all ? (1 + options_.blur) * bend + s.skew * twist + options_.blur * 0.5 * glm::dot(slope, slope) : 0;
       }
     });
   }

@@ -34,7 +34,7 @@ void add_paint_samples(const RadianceImage& image, const Calibration& calibratio
       const auto point = acquire::trace(g, middle);
       if (!point || glm::dot(point->normal, point->wo) < 0.2) continue;
       glm::dvec2 place(0.0);
-      double n = 0, sum = 0, variances = 0;
+      double n = 0, sum = 0, variances = 0, xy = 0;
       bool whole = true;
       for (int y = row; y < row + block && whole; ++y)
         for (int x = column; x < column + block; ++x) {
@@ -49,6 +49,7 @@ void add_paint_samples(const RadianceImage& image, const Calibration& calibratio
             break;
           }
           place += glm::dvec2(x, y);
+          xy += (x - middle.x) * (y - middle.y);
           sum += std::log(value / lens_transmission(calibration, {x, y})) + relative / 2;  // of the mean, not the mean of logarithms
           variances += relative;
           ++n;
@@ -65,6 +66,7 @@ void add_paint_samples(const RadianceImage& image, const Calibration& calibratio
                static_cast<std::uint32_t>(column) * paint_tiles_across / static_cast<std::uint32_t>(image.width);
       s.sight = ray->direction;
       s.spread = {right->direction - ray->direction, below->direction - ray->direction};
+      s.skew = (xy / n - (place.x - middle.x) * (place.y - middle.y)) / blocks.variance();
       s.variance = variances / (n * n);
       s.log_radiance = sum / n;
       s.corner2 = glm::dot(offset, offset) / corner2;

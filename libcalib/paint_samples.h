@@ -18,6 +18,7 @@ struct PaintSample {
   std::uint32_t tile = 0;      ///< of the image: samples of a tile and view share errors
   glm::dvec3 sight{0, 0, 1};   ///< line of sight in the camera frame, unit
   std::array<glm::dvec3, 2> spread{};  ///< how far the pixels' lines of sight reach from it: RMS in the image's x, in its y
+  double skew = 0;             ///< correlation of the pixels' x and y: greens of a mosaic lie on diagonals
   double log_radiance = 0;     ///< lens' transmission taken out
   double variance = 0;         ///< of log_radiance
   double corner2 = 0;          ///< squared distance from the principal point, of the image's corner's

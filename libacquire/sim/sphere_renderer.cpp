@@ -17,7 +17,7 @@ namespace {
 
 // Errors are relative to the pixel's radiance, but never to less than this fraction of the lit sphere's mean: nobody measures there.
 constexpr double dark_fraction = 1e-3;
-// A pixel whose centre value is estimated to be off by less than this stays as it is.
+// A pixel whose centre value is off by less than this takes its mean from its neighbours' second differences: what is left is of its square.
 constexpr double smooth_enough = 5e-4;
 constexpr int silhouette_lines = 12;
 
@@ -261,14 +261,12 @@ glm::dvec3 SphereRenderer::pixel_mean(const PlacedLight& light, int x, int y, co
   if (pass.kind[i] == Kind::mirror) return mean_of_smooth_pixel(light, x, y, centre, pass.floor);
 
   // Mean minus centre value of a smooth function: (d2f/dx2 + d2f/dy2) / 24 over a pixel, r^2 / 8 of that sum over a disc of radius r.
-  const double here = sum(centre);
-  const auto second_difference = [&](std::size_t before, std::size_t after) {
-    return std::abs(sum(pass.centre[before]) - 2 * here + sum(pass.centre[after]));
-  };
-  const double curvature = second_difference(index(std::max(x - 1, 0), y), index(std::min(x + 1, width - 1), y)) +
-                           second_difference(index(x, std::max(y - 1, 0)), index(x, std::min(y + 1, rig_.camera.height - 1)));
-  const double error = curvature * (1.0 / 24 + pass.emitter_in_pixels * pass.emitter_in_pixels / 8);
-  if (error <= smooth_enough * std::max(here, pass.floor)) return centre;
+  const auto second_difference = [&](std::size_t before, std::size_t after) { return pass.centre[before] - 2.0 * centre + pass.centre[after]; };
+  const glm::dvec3 bend_x = second_difference(index(std::max(x - 1, 0), y), index(std::min(x + 1, width - 1), y)),
+                   bend_y = second_difference(index(x, std::max(y - 1, 0)), index(x, std::min(y + 1, rig_.camera.height - 1)));
+  const double part = 1.0 / 24 + pass.emitter_in_pixels * pass.emitter_in_pixels / 8;
+  const double correction = (std::abs(sum(bend_x)) + std::abs(sum(bend_y))) * part;
+  if (correction <= smooth_enough * std::max(sum(centre), pass.floor)) return centre + part * (bend_x + bend_y);
   return mean_of_smooth_pixel(light, x, y, centre, pass.floor);
 }
 
