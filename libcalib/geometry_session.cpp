@@ -167,6 +167,19 @@ class Estimator {
     return x;
   }
 
+  /// What the size of the LEDs blurs the sphere's middle by, pixels^2 per axis, mean over the views: the half vector turns by half the angle of the
+  /// light, and a uniform disc has a quarter of its squared radius.
+  double emitter_variance() const {
+    const acquire::RigGeometry& g = trial_.geometry;
+    const double radius_px = g.camera.focal.x * g.sphere_radius / g.cam_from_rig.translation.z;
+    double sum = 0;
+    for (const GeometryView& view : views_) {
+      const acquire::Light& light = g.lights[view.light];
+      if (!light.distant) sum += std::pow(0.25 * light.diameter / glm::length(light.position) * radius_px, 2) / 4;
+    }
+    return sum / static_cast<double>(views_.size());
+  }
+
   void refine_with_paint() {
     GeometryEvidence evidence;
     std::vector<PaintView> lit;
@@ -177,18 +190,28 @@ class Estimator {
     const GeometryUnknowns unknowns(nominal_, options_.priors, lights_with_data(nominal_, result_.highlights, evidence));
     const GeometryEstimate before = result_.estimate;
     PaintOptions paint = options_.paint;
-    paint.blur = (trial_.lens_blur_px * trial_.lens_blur_px + 1.0 / 12) / blocks_.variance();
+    paint.blur = (trial_.lens_blur_px * trial_.lens_blur_px + 1.0 / 12 + emitter_variance()) / blocks_.variance();
     if (!widths_.empty()) {
       std::nth_element(widths_.begin(), widths_.begin() + static_cast<std::ptrdiff_t>(widths_.size() / 2), widths_.end());
       constexpr double clear_of_peak = 3.5;  // 1/e radii
       paint.lowest_theta_h = std::clamp(clear_of_peak * widths_[widths_.size() / 2], paint.lowest_theta_h, 0.5);
     }
+    // First with a part of the samples: far from the solution it is as good.
+    constexpr std::size_t part = 4, enough = 40000;
+    std::vector<PaintSample> few;
+    for (std::size_t i = 0; i < samples_.size() && samples_.size() > part * enough; i += part) few.push_back(samples_[i]);
+    bool all = few.empty();
     constexpr int max_rounds = 12;
-    for (int round = 0; round < max_rounds && !samples_.empty(); ++round) {
+    for (int round = 0, rounds_with_all = 0; round < max_rounds && !samples_.empty(); ++round) {
       const std::vector<double> x = solution(unknowns);
       paint.angle_rad = result_.estimate.angle_sigma_rad;
-      const PaintEvidence found = paint_evidence(samples_, lit, unknowns, x, paint);
-      if (found.n_samples == 0) return;
+      const PaintEvidence found = paint_evidence(all ? samples_ : few, lit, unknowns, x, paint);
+      rounds_with_all += all;
+      if (found.n_samples == 0) {
+        if (all) return;
+        all = true;
+        continue;
+      }
       solve(found.geometry);
       result_.paint.n_samples = found.n_samples;
       result_.paint.scatter = found.scatter;
@@ -200,7 +223,8 @@ class Estimator {
       }
       if (progress_) progress_("paint", static_cast<std::size_t>(round) + 1, max_rounds);
       // Noise is measured by medians, which may keep a last step from dying away.
-      if (largest < 0.1 || (round >= 4 && largest < 1)) break;
+      if (all && (largest < 0.1 || (rounds_with_all >= 3 && largest < 1))) break;
+      all = all || largest < 0.5 || round >= max_rounds / 2;
     }
     for (GeometryParameter& q : result_.estimate.uncertainty.parameters)
       if (const GeometryParameter* const p = named(before.uncertainty.parameters, q.name)) q.paint_shift = (q.correction - p->correction) / p->sigma;

@@ -214,21 +214,19 @@ class Evidence {
     const PaintSample& sample = samples_[i];
     const SeenPaint& seen = seen_[i];
     const PaintScene& scene = scenes_[sample.view];
-    const double step = 1e-5 * sphere_.radius;
-    const auto level = [&](const PaintSphere& sphere, const PaintScene& moved) {
+    const double step = 1e-6 * sphere_.radius, here = seen.log_irradiance + paint_at(seen.coordinates);
+    const auto change = [&](const PaintSphere& sphere, const PaintScene& moved) {
       const auto s = see(sphere, moved, sample.sight);
-      return s ? s->log_irradiance + paint_at(s->coordinates) : seen.log_irradiance + paint_at(seen.coordinates);
+      return s ? (s->log_irradiance + paint_at(s->coordinates) - here) / step : 0.0;
     };
     Slope slope;
     for (int k = 0; k < 3; ++k) {
-      PaintScene up = scene, down = scene;
-      up.light[k] += step;
-      down.light[k] -= step;
-      slope.by_light[k] = (level(sphere_, up) - level(sphere_, down)) / (2 * step);
-      PaintSphere right = sphere_, left = sphere_;
-      right.translation[k] += step;
-      left.translation[k] -= step;
-      slope.by_sphere[k] = (level(right, scene) - level(left, scene)) / (2 * step);
+      PaintScene lit = scene;
+      lit.light[k] += step;
+      slope.by_light[k] = change(sphere_, lit);
+      PaintSphere moved = sphere_;
+      moved.translation[k] += step;
+      slope.by_sphere[k] = change(moved, scene);
     }
     return slope;
   }

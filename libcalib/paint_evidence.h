@@ -24,7 +24,7 @@ struct PaintOptions {
   double aim_rad = 0.0087;       ///< prior of a light's aim, where its intensity falls off the axis
   double falloff = 0.05;         ///< prior of the exponent of that, relative
   double vignetting = 0.005;     ///< prior of what the vignetting in the image's corner is wrong by
-  double blur = 0;               ///< variance of lens blur and pixel's area over that of a block's pixels
+  double blur = 0;               ///< variance of lens blur, pixel's area and LED over that of a block's pixels
   double angle_rad = 0;          ///< scatter of the turntable's angles, which all samples of a view share
   double light_scale = 0.1;      ///< prior of each further light's intensity against the first's
   void validate() const;

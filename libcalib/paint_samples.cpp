@@ -9,7 +9,7 @@
 namespace lacquer::calib {
 
 PaintBlocks paint_blocks(const acquire::RigGeometry& g, std::size_t n_views) {
-  constexpr double wanted = 100000, usable = 0.4, per_radius = 54;
+  constexpr double wanted = 200000, usable = 0.4, per_radius = 54;
   const double radius = g.camera.focal.x * g.sphere_radius / g.cam_from_rig.translation.z;
   PaintBlocks b;
   b.block = 2 * std::max(1, static_cast<int>(std::lround(radius / per_radius / 2)));

@@ -29,7 +29,7 @@ struct PaintBlocks {
   int block = 2, stride = 2;
   double variance() const { return (block * block - 1) / 12.0; }  ///< of a pixel's place in its block, pixels^2 per axis
 };
-/// Blocks of about a degree of the sphere, as many as give some 100 000 samples in all views together.
+/// Blocks of about a degree of the sphere, as many as give some 200 000 samples in all views together.
 PaintBlocks paint_blocks(const acquire::RigGeometry& geometry, std::size_t n_views);
 
 /// Means over blocks of pixels, each at the mean place of the values that it has.
