@@ -132,6 +132,7 @@ class Estimator {
         crops_[i] = crop(image, seen ? found.highlight.pixel : expected->pixel, 30 + reach);
       }
       keep(i, found);
+      background_.add(image);
       if (options_.use_paint) add_paint_samples(image, trial_, static_cast<std::uint32_t>(i), blocks_, samples_);
     });
   }
@@ -191,6 +192,12 @@ class Estimator {
     const GeometryEstimate before = result_.estimate;
     PaintOptions paint = options_.paint;
     paint.blur = (trial_.lens_blur_px * trial_.lens_blur_px + 1.0 / 12 + emitter_variance()) / blocks_.variance();
+    // Anything between nothing and the darkest corner, which may be no stray light at all.
+    constexpr double most_glare = 0.003;
+    paint.glare = std::min(background_.value() / 2, most_glare);
+    paint.glare_sigma = std::max(paint.glare_sigma, paint.glare);
+    constexpr double blur_px = 0.1;  // what a lens blur is stated or found to
+    paint.blur_sigma = 2 * std::max(trial_.lens_blur_px, blur_px) * blur_px / blocks_.variance();
     if (!widths_.empty()) {
       std::nth_element(widths_.begin(), widths_.begin() + static_cast<std::ptrdiff_t>(widths_.size() / 2), widths_.end());
       constexpr double clear_of_peak = 3.5;  // 1/e radii
@@ -244,6 +251,7 @@ class Estimator {
   std::vector<double> widths_;
   PaintBlocks blocks_;
   std::vector<PaintSample> samples_;
+  BackgroundShare background_;
 };
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include <optional>
 
 #include "libbrdf/error.h"
+#include "libcalib/paint_elimination.h"
 #include "libcalib/paint_lens.h"
 #include "libcalib/paint_scene.h"
 #include "libcalib/paint_spline.h"
@@ -22,25 +23,6 @@ namespace {
 
 constexpr double highest_theta_h = 1.25, highest_theta_d = 1.25;
 
-using Columns = std::vector<std::vector<double>>;
-
-/// Sums over a piece of the samples.
-struct Sums {
-  SplineMatrix paint;
-  std::vector<double> paint_residual = std::vector<double>(PaintSpline::size);
-  Columns cross;              ///< by column: B' W d
-  SymmetricMatrix columns;    ///< d' W d
-  std::vector<double> residual;  ///< d' W r
-  void add(const Sums& o) {
-    paint.add(o.paint);
-    for (std::size_t i = 0; i < paint_residual.size(); ++i) paint_residual[i] += o.paint_residual[i];
-    for (std::size_t k = 0; k < cross.size(); ++k)
-      for (std::size_t i = 0; i < cross[k].size(); ++i) cross[k][i] += o.cross[k][i];
-    columns.add(o.columns);
-    for (std::size_t k = 0; k < residual.size(); ++k) residual[k] += o.residual[k];
-  }
-};
-
 class Evidence {
  public:
   Evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns, const std::vector<double>& x,
@@ -48,7 +30,9 @@ class Evidence {
       : lens_(unknowns, x), moved_(through(lens_, samples)), samples_(lens_.known() ? samples : moved_), views_(views), options_(options), geometry_(unknowns.geometry(x)), x_(x), n_unknowns_(x.size()),
         sphere_{glm::transpose(geometry_.cam_from_rig.rotation), geometry_.cam_from_rig.translation, geometry_.sphere_radius},
         scenes_(scenes_of(geometry_, unknowns.turntable_scale(x), views)), nuisances_(geometry_, views, options),
-        spline_(options.lowest_theta_h, highest_theta_h, highest_theta_d), weight_(samples.size()), residual_(samples.size()), bend_(samples.size()), seen_(samples.size()), slope_(samples.size()), coefficients_(PaintSpline::size) {
+        spline_(options.lowest_theta_h, highest_theta_h, highest_theta_d), weight_(samples.size()), residual_(samples.size()), bend_(samples.size()), by_blur_(samples.size()), log_radiance_(samples.size()), seen_(samples.size()), slope_(samples.size()), coefficients_(PaintSpline::size) {
+    for (std::size_t i = 0; i < samples.size(); ++i)
+      log_radiance_[i] = samples[i].log_radiance + std::log1p(-std::min(0.5, options.glare * std::exp(samples[i].log_mean - samples[i].log_radiance)));
     constexpr double step = 1e-3;
     {
       std::vector<PaintView> up = views, down = views;
@@ -132,13 +116,17 @@ class Evidence {
 
   /// The paint at this geometry, and what it leaves.
   void fit_paint() {
+    struct Sums {
+      SplineMatrix paint;
+      std::vector<double> paint_residual = std::vector<double>(PaintSpline::size);
+    };
     std::vector<Sums> sums(n_pieces);
     each_piece([&](std::size_t p, std::size_t first, std::size_t last) {
       for (std::size_t i = first; i < last; ++i) {
         if (!(weight_[i] > 0)) continue;
         const SeenPaint& seen = seen_[i];
         const PaintSpline::Basis b = spline_.at(seen.coordinates);
-        const double y = weight_[i] * (samples_[i].log_radiance - seen.log_irradiance - bend_[i]);
+        const double y = weight_[i] * (log_radiance_[i] - seen.log_irradiance - bend_[i]);
         sums[p].paint.add(b, weight_[i]);
         for (std::size_t k = 0; k < PaintSpline::n_met; ++k) sums[p].paint_residual[b.index[k]] += y * b.value[k];
       }
@@ -156,7 +144,7 @@ class Evidence {
       for (std::size_t i = first; i < last; ++i) {
         if (!(weight_[i] > 0)) continue;
         const SeenPaint& seen = seen_[i];
-        residual_[i] = samples_[i].log_radiance - seen.log_irradiance - paint_at(seen.coordinates) - bend_[i];
+        residual_[i] = log_radiance_[i] - seen.log_irradiance - paint_at(seen.coordinates) - bend_[i];
       }
     });
   }
@@ -182,7 +170,8 @@ class Evidence {
             slope += glm::dvec2(u, v) * (level / 4);
           }
         const double bend = sum - seen_[i].log_irradiance - paint_at(seen_[i].coordinates);
-        bend_[i] = all ? (1 + options_.blur) * bend + s.skew * twist + options_.blur * 0.5 * glm::dot(slope, slope) : 0;
+        by_blur_[i] = all ? bend + 0.5 * glm::dot(slope, slope) : 0;
+        bend_[i] = all ? bend + s.skew * twist + options_.blur * by_blur_[i] : 0;
       }
     });
   }
@@ -256,119 +245,100 @@ class Evidence {
                                 glm::dot(slope_[i].by_sphere, glm::cross(turns[k], sphere_.translation));
       }
     }
-    for (std::size_t k = 0; k < nuisances_.columns.size(); ++k)
-      d[n_unknowns_ + k] = nuisances_.derivative(nuisances_.columns[k], sample, views_[sample.view], scene, seen);
+    for (std::size_t k = 0; k < nuisances_.columns.size(); ++k) {
+      using Kind = PaintNuisances::Column::Kind;
+      const PaintNuisances::Column& c = nuisances_.columns[k];
+      double& by = d[n_unknowns_ + k];
+      if (c.kind == Kind::blur) by = by_blur_[i];
+      // Over the radiance of the fit: the sample's own would tie the column to its noise.
+      else if (c.kind == Kind::glare) by = std::exp(sample.log_mean - (seen.log_irradiance + paint_at(seen.coordinates) + bend_[i]));
+      else by = nuisances_.derivative(c, sample, views_[sample.view], scene, seen);
+    }
   }
 
-  Sums joint_sums() {
-    std::vector<Sums> sums(n_pieces);
+  PaintElimination joint() {
+    std::vector<PaintSums> sums;
+    for (std::size_t p = 0; p < n_pieces; ++p) sums.emplace_back(n_columns(), views_.size());
     each_piece([&](std::size_t p, std::size_t first, std::size_t last) {
-      Sums& s = sums[p];
-      s.cross.assign(n_columns(), std::vector<double>(PaintSpline::size));
-      s.columns = SymmetricMatrix(n_columns());
-      s.residual.assign(n_columns(), 0.0);
       std::vector<double> d(n_columns());
       for (std::size_t i = first; i < last; ++i) {
-        const double w = weight_[i];
-        if (!(w > 0)) continue;
-        const SeenPaint& seen = seen_[i];
-        const PaintSpline::Basis b = spline_.at(seen.coordinates);
+        if (!(weight_[i] > 0)) continue;
         slope_[i] = slope_at(i);
         derivatives(i, d);
-        s.paint.add(b, w);
-        for (std::size_t k = 0; k < PaintSpline::n_met; ++k) s.paint_residual[b.index[k]] += w * residual_[i] * b.value[k];
-        for (std::size_t r = 0; r < d.size(); ++r) {
-          for (std::size_t k = 0; k < PaintSpline::n_met; ++k) s.cross[r][b.index[k]] += w * d[r] * b.value[k];
-          for (std::size_t c = 0; c <= r; ++c) s.columns.at(r, c) += w * d[r] * d[c];
-          s.residual[r] += w * d[r] * residual_[i];
-        }
+        sums[p].add(spline_.at(seen_[i].coordinates), d, samples_[i].view, weight_[i], residual_[i]);
       }
     });
     for (std::size_t p = 1; p < n_pieces; ++p) {
       sums[0].add(sums[p]);
-      sums[p] = Sums();
+      sums[p] = PaintSums(0, 0);
     }
-    sums[0].paint.add_smoothness(smoothness);
-    sums[0].paint.factor();
-    return std::move(sums[0]);
+    std::vector<double> priors(n_unknowns_, 1.0);
+    for (const PaintNuisances::Column& c : nuisances_.columns) priors.push_back(c.sigma);
+    return PaintElimination(std::move(sums[0]), smoothness, priors);
   }
 
-  /// Sum over tiles of the views of s s', s the tile's sum of w r (d - what the paint takes of it); and what a wrong angle adds, which all
-  /// tiles of a view share.
-  SymmetricMatrix scatter_of_tiles(const Columns& taken, const std::vector<double>& paint_step, const std::vector<double>& step) const {
+  /// Covariance of the gradient: sum over tiles of the views of s s', s the tile's sum of w r d with what paint and view take of both; and
+  /// what the view's own factor and a wrong angle add, which all tiles of a view share.
+  SymmetricMatrix scatter_of_tiles(const PaintElimination& rest) const {
     const std::size_t n = n_columns(), n_tiles = views_.size() * paint_tiles_across * paint_tiles_across;
-    std::vector<Columns> scores(n_pieces), turns(n_pieces);
+    std::vector<Columns> scores(n_pieces), turns(n_pieces), factors(n_pieces);
     each_piece([&](std::size_t p, std::size_t first, std::size_t last) {
       scores[p].assign(n_tiles, {});
       turns[p].assign(views_.size(), std::vector<double>(n));
+      factors[p] = turns[p];
       std::vector<double> d(n);
       for (std::size_t i = first; i < last; ++i) {
         if (!(weight_[i] > 0)) continue;
-        const SeenPaint& seen = seen_[i];
-        const PaintSpline::Basis b = spline_.at(seen.coordinates);
+        const std::size_t view = samples_[i].view;
         derivatives(i, d);
-        double r = residual_[i];
-        for (std::size_t k = 0; k < PaintSpline::n_met; ++k) r -= b.value[k] * paint_step[b.index[k]];
-        for (std::size_t c = 0; c < n; ++c) {
-          for (std::size_t k = 0; k < PaintSpline::n_met; ++k) d[c] -= b.value[k] * taken[c][b.index[k]];
-          r -= d[c] * step[c];
-        }
-        std::vector<double>& score = scores[p][samples_[i].view * paint_tiles_across * paint_tiles_across + samples_[i].tile];
+        const double r = rest.project(spline_.at(seen_[i].coordinates), view, residual_[i], d);
+        std::vector<double>& score = scores[p][view * paint_tiles_across * paint_tiles_across + samples_[i].tile];
         if (score.empty()) score.assign(n, 0.0);
-        const PaintMotion& turn = turn_[samples_[i].view];
+        const PaintMotion& turn = turn_[view];
         const double by_angle = glm::dot(slope_[i].by_light, turn.light) + glm::dot(axis_slope(i), turn.axis);
         for (std::size_t c = 0; c < n; ++c) {
           score[c] += weight_[i] * r * d[c];
-          turns[p][samples_[i].view][c] += weight_[i] * by_angle * d[c];
+          turns[p][view][c] += weight_[i] * by_angle * d[c];
+          factors[p][view][c] += weight_[i] * d[c];
         }
       }
     });
     SymmetricMatrix m(n);
+    const auto add_square = [&](const std::vector<double>& s, double variance) {
+      for (std::size_t r = 0; r < n; ++r)
+        for (std::size_t c = 0; c <= r; ++c) m.at(r, c) += variance * s[r] * s[c];
+    };
+    const auto add_to_first = [](std::vector<Columns>& pieces, std::size_t k) {
+      for (std::size_t p = 1; p < n_pieces; ++p)
+        for (std::size_t c = 0; c < pieces[p][k].size(); ++c) {
+          if (pieces[0][k].empty()) pieces[0][k].assign(pieces[p][k].size(), 0.0);
+          pieces[0][k][c] += pieces[p][k][c];
+        }
+    };
     std::size_t n_filled = 0;
     for (std::size_t t = 0; t < n_tiles; ++t) {
-      std::vector<double> score(n);
-      bool filled = false;
-      for (std::size_t p = 0; p < n_pieces; ++p)
-        for (std::size_t c = 0; c < scores[p][t].size(); ++c) {
-          score[c] += scores[p][t][c];
-          filled = true;
-        }
-      n_filled += filled;
-      for (std::size_t r = 0; r < n; ++r)
-        for (std::size_t c = 0; c <= r; ++c) m.at(r, c) += score[r] * score[c];
+      add_to_first(scores, t);
+      if (scores[0][t].empty()) continue;
+      ++n_filled;
+      add_square(scores[0][t], 1);
     }
     m.scale(static_cast<double>(n_filled) / std::max(1.0, static_cast<double>(n_filled) - static_cast<double>(n)));
     for (std::size_t v = 0; v < views_.size(); ++v) {
-      for (std::size_t p = 1; p < n_pieces; ++p)
-        for (std::size_t c = 0; c < n; ++c) turns[0][v][c] += turns[p][v][c];
-      for (std::size_t r = 0; r < n; ++r)
-        for (std::size_t c = 0; c <= r; ++c) m.at(r, c) += options_.angle_rad * options_.angle_rad * turns[0][v][r] * turns[0][v][c];
+      add_to_first(turns, v);
+      add_to_first(factors, v);
+      add_square(turns[0][v], options_.angle_rad * options_.angle_rad);
+      add_square(factors[0][v], rest.view_sigma() * rest.view_sigma());
     }
     return m;
   }
 
   void eliminate(PaintEvidence& e) {
-    const Sums sums = joint_sums();
+    const PaintElimination rest = joint();
     const std::size_t n = n_columns();
-    // The paint's share, by L^-1 of its matrix.
-    std::vector<double> z = sums.paint_residual;
-    sums.paint.solve_lower(z);
-    Columns y = sums.cross;
-    tbb::parallel_for(std::size_t{0}, n, [&](std::size_t k) { sums.paint.solve_lower(y[k]); });
-    SymmetricMatrix s = sums.columns;
-    std::vector<double> g = sums.residual;
-    for (std::size_t r = 0; r < n; ++r) {
-      for (std::size_t c = 0; c <= r; ++c)
-        for (std::size_t i = 0; i < z.size(); ++i) s.at(r, c) -= y[r][i] * y[c][i];
-      for (std::size_t i = 0; i < z.size(); ++i) g[r] -= y[r][i] * z[i];
-    }
-    Columns taken = y;
-    tbb::parallel_for(std::size_t{0}, n, [&](std::size_t k) { sums.paint.solve_upper(taken[k]); });
-    std::vector<double> paint_step = z;
-    sums.paint.solve_upper(paint_step);
-    SymmetricMatrix with_priors = s;
-    for (std::size_t k = 0; k < n; ++k) with_priors.at(k, k) += k < n_unknowns_ ? 1 : 1 / std::pow(nuisances_.columns[k - n_unknowns_].sigma, 2);
-    const SymmetricMatrix m = scatter_of_tiles(taken, paint_step, solve(with_priors, g));
+    const SymmetricMatrix& s = rest.information();
+    const std::vector<double>& g = rest.gradient();
+    const SymmetricMatrix m = scatter_of_tiles(rest);
+    e.view_sigma = rest.view_sigma();
 
     // Information that the scatter supports: S M^-1 S, and the gradient with it; then without the nuisances.
     Columns m_s(n);
@@ -449,7 +419,7 @@ class Evidence {
   std::vector<glm::dvec3> sphere_motion_;
   PaintSpline spline_;
   double scatter_ = 0.01;  ///< to begin with
-  std::vector<double> weight_, residual_, bend_;
+  std::vector<double> weight_, residual_, bend_, by_blur_, log_radiance_;
   std::vector<SeenPaint> seen_;
   std::vector<Slope> slope_;
   std::vector<double> coefficients_;

@@ -25,6 +25,9 @@ struct PaintOptions {
   double falloff = 0.05;         ///< prior of the exponent of that, relative
   double vignetting = 0.005;     ///< prior of what the vignetting in the image's corner is wrong by
   double blur = 0;               ///< variance of lens blur, pixel's area and LED over that of a block's pixels
+  double blur_sigma = 0; ///< prior of what `blur` is wrong by
+  double glare = 0;            ///< stray light over the image's mean: taken out
+  double glare_sigma = 2e-5;   ///< and what that is wrong by: a corner of the images is not known to better
   double angle_rad = 0;          ///< scatter of the turntable's angles, which all samples of a view share
   double light_scale = 0.1;      ///< prior of each further light's intensity against the first's
   void validate() const;
@@ -34,6 +37,7 @@ struct PaintEvidence {
   GeometryEvidence geometry;   ///< linear about `x`; empty: too few samples
   std::size_t n_samples = 0;
   double scatter = 0;   ///< of ln f about the paint of the fit, without the noise
+  double view_sigma = 0;  ///< of the views' own factors, relative: a light that flickers
 };
 
 /// The paint is a PaintSpline that is fitted and eliminated, with the aim and fall-off of the lights and a rest of vignetting. Samples far

@@ -8,6 +8,37 @@
 
 namespace lacquer::calib {
 
+namespace {
+
+/// Of the green or only values in a rectangle, noise and clipped ones included.
+double mean_of(const RadianceImage& image, int x0, int y0, int width, int height) {
+  const int per_pixel = acquire::values_per_pixel(image.layout), k = per_pixel > 1 ? 1 : 0;
+  const bool colour = image.layout != acquire::PixelLayout::mono;
+  double sum = 0, n = 0;
+  for (int y = y0; y < y0 + height; ++y)
+    for (int x = x0; x < x0 + width; ++x) {
+      const auto i = static_cast<std::size_t>((static_cast<std::ptrdiff_t>(y) * image.width + x) * per_pixel + k);
+      if ((colour && acquire::channel_of(image.layout, x, y, k) != 1) || image.flags[i] == PixelFlag::invalid) continue;
+      sum += image.radiance[i];
+      ++n;
+    }
+  return n > 0 ? sum / n : 0;
+}
+
+}  // namespace
+
+void BackgroundShare::add(const RadianceImage& image) {
+  constexpr int part = 10;  // of the image's side
+  const int width = std::max(1, image.width / part), height = std::max(1, image.height / part);
+  for (std::size_t c = 0; c < corner_.size(); ++c)
+    corner_[c] += mean_of(image, c % 2 == 0 ? 0 : image.width - width, c < 2 ? 0 : image.height - height, width, height);
+  whole_ += mean_of(image, 0, 0, image.width, image.height);
+}
+
+double BackgroundShare::value() const {
+  return whole_ > 0 ? std::clamp(*std::min_element(corner_.begin(), corner_.end()) / whole_, 0.0, 1.0) : 1.0;
+}
+
 PaintBlocks paint_blocks(const acquire::RigGeometry& g, std::size_t n_views) {
   constexpr double wanted = 200000, usable = 0.4, per_radius = 54;
   const double radius = g.camera.focal.x * g.sphere_radius / g.cam_from_rig.translation.z;
@@ -25,6 +56,7 @@ void add_paint_samples(const RadianceImage& image, const Calibration& calibratio
   const bool colour = image.layout != acquire::PixelLayout::mono;
   const double corner2 = std::pow(std::max(g.camera.centre.x + 0.5, g.camera.width - 0.5 - g.camera.centre.x), 2) +
                          std::pow(std::max(g.camera.centre.y + 0.5, g.camera.height - 0.5 - g.camera.centre.y), 2);
+  const double log_mean = std::log(mean_of(image, 0, 0, image.width, image.height));
   const int block = blocks.block;
   // Another part of the grid in each view.
   const int first = 2 * (static_cast<int>(view) * 7 % std::max(1, blocks.stride / 2));
@@ -69,6 +101,7 @@ void add_paint_samples(const RadianceImage& image, const Calibration& calibratio
       s.skew = (xy / n - (place.x - middle.x) * (place.y - middle.y)) / blocks.variance();
       s.variance = variances / (n * n);
       s.log_radiance = sum / n;
+      s.log_mean = log_mean;
       s.corner2 = glm::dot(offset, offset) / corner2;
       samples.push_back(s);
     }

@@ -21,6 +21,7 @@ struct PaintSample {
   double skew = 0;             ///< correlation of the pixels' x and y: greens of a mosaic lie on diagonals
   double log_radiance = 0;     ///< lens' transmission taken out
   double variance = 0;         ///< of log_radiance
+  double log_mean = 0;         ///< of the radiance of the whole image
   double corner2 = 0;          ///< squared distance from the principal point, of the image's corner's
 };
 
@@ -31,6 +32,18 @@ struct PaintBlocks {
 };
 /// Blocks of about a degree of the sphere, as many as give some 200 000 samples in all views together.
 PaintBlocks paint_blocks(const acquire::RigGeometry& geometry, std::size_t n_views);
+
+/// The darkest corner of the images over their mean: stray light, which lies on the whole image, is at most that. Green values of a mosaic.
+class BackgroundShare {
+ public:
+  void add(const RadianceImage& image);
+  /// 1: no image yet, or nothing in it.
+  double value() const;
+
+ private:
+  std::array<double, 4> corner_{};  ///< sums over the images of the corners' means
+  double whole_ = 0;                ///< and of the images'
+};
 
 /// Means over blocks of pixels, each at the mean place of the values that it has.
 void add_paint_samples(const RadianceImage& image, const Calibration& calibration, std::uint32_t view, const PaintBlocks& blocks, std::vector<PaintSample>& samples);

@@ -36,6 +36,8 @@ std::vector<PaintScene> scenes_of(const acquire::RigGeometry& g, double scale, c
 
 PaintNuisances::PaintNuisances(const acquire::RigGeometry& g, const std::vector<PaintView>& views, const PaintOptions& o) {
   columns.push_back({Column::Kind::vignetting, 0, o.vignetting});
+  columns.push_back({Column::Kind::glare, 0, o.glare_sigma});
+  if (o.blur_sigma > 0) columns.push_back({Column::Kind::blur, 0, o.blur_sigma});
   bool first = true;
   for (std::size_t i = 0; i < g.lights.size(); ++i) {
     if (std::none_of(views.begin(), views.end(), [&](const PaintView& v) { return v.light == i; })) continue;

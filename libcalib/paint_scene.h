@@ -46,14 +46,14 @@ std::vector<PaintScene> scenes_of(const acquire::RigGeometry& geometry, double t
 /// Columns beyond the geometry's: what else shapes the pattern of the light.
 struct PaintNuisances {
   struct Column {
-    enum class Kind { vignetting, falloff, aim_a, aim_b, scale } kind;
+    enum class Kind { vignetting, glare, blur, falloff, aim_a, aim_b, scale } kind;
     std::size_t light;
     double sigma;
   };
   std::vector<Column> columns;
 
   PaintNuisances(const acquire::RigGeometry& geometry, const std::vector<PaintView>& views, const PaintOptions& options);
-  /// Derivative of the logarithm of what a sample sees.
+  /// Derivative of the logarithm of what a sample sees; not for glare and blur.
   double derivative(const Column& c, const PaintSample& sample, const PaintView& view, const PaintScene& scene, const SeenPaint& seen) const;
 };
 

@@ -27,6 +27,8 @@ struct Noise {
   double relative = 0;    ///< 1 sigma of a pixel
   double angle_rad = 0;   ///< of the turntable, against the one read back
   double dusty = 0;       ///< share of the pixels that have lost 70 % of their light
+  double flicker = 0;     ///< of each view's light, relative
+  double glare = 0;       ///< on the whole image, of its mean
 };
 
 struct Photographs {
@@ -45,6 +47,8 @@ RadianceImage photograph(const acquire::RigGeometry& truth, const acquire::Place
   image.radiance.assign(n, 0);
   image.variance.assign(n, 1);
   image.flags.assign(n, PixelFlag::valid);
+  const double factor = 1 + noise.flicker * normal(random);
+  double total = 0;
   for (int y = 0; y < image.height; ++y)
     for (int x = 0; x < image.width; ++x) {
       const auto point = acquire::trace(truth, {x, y});
@@ -53,11 +57,14 @@ RadianceImage photograph(const acquire::RigGeometry& truth, const acquire::Place
       const auto local = acquire::to_shading_frame(*point, lit->wi);
       const auto f = paint.value({local.wi, local.wo}, {});
       if (!f) continue;
-      const double clean = 1e4 * f->y * lit->irradiance.y * (uniform(random) < noise.dusty ? 0.3 : 1.0);
+      const double clean = 1e4 * factor * f->y * lit->irradiance.y * (uniform(random) < noise.dusty ? 0.3 : 1.0);
       const auto i = static_cast<std::size_t>(y * image.width + x);
       image.radiance[i] = static_cast<float>(clean * (1 + noise.relative * normal(random)));
       image.variance[i] = static_cast<float>(std::pow(noise.relative * clean, 2));
+      total += clean;
     }
+  if (noise.glare > 0)
+    for (float& value : image.radiance) value += static_cast<float>(noise.glare * total / static_cast<double>(n));
   return image;
 }
 
@@ -95,6 +102,7 @@ double chi2_at_the_truth(const Noise& noise, unsigned seeds) {
   const std::vector<double> zero(unknowns.size());
   PaintOptions options;
   options.angle_rad = noise.angle_rad;
+  if (noise.glare > 0) options.glare = options.glare_sigma = noise.glare / 2;
   double sum = 0, n = 0;
   for (unsigned seed = 1; seed <= seeds; ++seed) {
     const Photographs p = photographs(truth, *matte_paint(), noise, seed);
@@ -114,6 +122,11 @@ TEST(PaintEvidence, AtTheTruthItAsksForNoMoreThanItsErrorsExplain) {
 
 TEST(PaintEvidence, DustDoesNotMoveIt) {
   const double ratio = chi2_at_the_truth({.relative = 0.01, .angle_rad = 0.005 * degree, .dusty = 0.002}, 1);
+  EXPECT_LT(ratio, 3);
+}
+
+TEST(PaintEvidence, StrayLightAndAFlickerOfTheLedAreNoGeometry) {
+  const double ratio = chi2_at_the_truth({.relative = 0.01, .flicker = 0.003, .glare = 0.002}, 1);
   EXPECT_LT(ratio, 3);
 }
 
