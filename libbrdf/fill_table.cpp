@@ -10,148 +10,15 @@
 #include <random>
 
 #include "libbrdf/error.h"
-#include "libbrdf/folded_channel.h"
+#include "libbrdf/fill_kriging.h"
 
 namespace lacquer::brdf {
 
 namespace {
 
 using Place = FoldedChannel::Place;
-constexpr int max_neighbours = 32;
-
-/// Where the data around a hole lie, relative to it.
-struct Pattern {
-  int n = 0;
-  std::array<Place, max_neighbours> offset;
-
-  /// Cells to the nearest one.
-  int nearest() const {
-    int cells = 1000;
-    for (int k = 0; k < n; ++k) {
-      const Place& o = offset[static_cast<std::size_t>(k)];
-      cells = std::min(cells, std::max({std::abs(o.h), std::abs(o.d), std::abs(o.p)}));
-    }
-    return cells;
-  }
-};
-
-/// 0: data in the next cell but one, 1: up to five cells away, 2: a wide gap.
-constexpr std::size_t n_gaps = 3;
-std::size_t gap_class(int cells_to_nearest) { return cells_to_nearest <= 2 ? 0 : cells_to_nearest <= 5 ? 1 : 2; }
-
-/// Covariance of the logarithm after the rows' means were taken off. The absolute size matters little, cross-validation sets the variance.
-constexpr double amplitude = 0.15;                                   // of what the drifts do not explain
-constexpr double mean_sigma = 3, slope_h = 0.3, slope_d = 0.1, slope_q = 1;  // prior sigmas of the drifts: constant, per cell, per deg, per unit
-constexpr double length_h = 4, length_d = 8, length_p = 6;           // cells, degrees, degrees times sin(theta_h) sin(theta_d)
-constexpr std::array<double, 4> length_scales{0.5, 1, 2, 4};
-constexpr double nugget = 1e-4;                                      // of the logarithm: what no smooth function follows
-
-struct Prediction {
-  double log, variance;
-  std::size_t gap;  // class
-};
-
-class Kriging {
- public:
-  explicit Kriging(const TableChannel& channel) : data_(channel), cosines_(FoldedChannel::n_cells) {
-    for (int h = 0; h < FoldedChannel::n_h; ++h)
-      for (int d = 0; d < FoldedChannel::n_d; ++d)
-        for (int p = 0; p < FoldedChannel::n_p; ++p) {
-          const auto c = half_angle_cosines(TableGrid::centre(TableGrid::Cell{h, d, p}));
-          cosines_[FoldedChannel::index({h, d, p})] = static_cast<float>(std::log(std::max(c.n_dot_i, 0.02)) + std::log(std::max(c.n_dot_o, 0.02)));
-        }
-  }
-
-  const FoldedChannel& data() const { return data_; }
-  double log_cosines(const Place& c) const { return cosines_[FoldedChannel::index(c)]; }
-  bool known(const Place& c) const { return FoldedChannel::inside(c.h, c.d) && data_.known(FoldedChannel::index(c)); }
-
-  /// The nearest known cells along 26 directions, along the axes the two nearest.
-  Pattern pattern(const Place& hole) const {
-    constexpr std::array<int, 4> reach{0, 40, 20, 12};  // by the number of axes that change
-    Pattern found;
-    for (int dh = -1; dh <= 1; ++dh)
-      for (int dd = -1; dd <= 1; ++dd)
-        for (int dp = -1; dp <= 1; ++dp) {
-          const int axes = std::abs(dh) + std::abs(dd) + std::abs(dp);
-          int wanted = axes == 1 ? 2 : 1;
-          for (int k = 1; axes > 0 && wanted > 0 && k <= reach[static_cast<std::size_t>(axes)]; ++k) {
-            const Place offset{k * dh, k * dd, k * dp};
-            if (!FoldedChannel::inside(hole.h + offset.h, hole.d + offset.d)) break;
-            if (!known({hole.h + offset.h, hole.d + offset.d, hole.p + offset.p})) continue;
-            found.offset[static_cast<std::size_t>(found.n++)] = offset;
-            --wanted;
-          }
-        }
-    return found;
-  }
-
-  /// From those cells of the pattern that are known; nullopt with fewer than four of them.
-  std::optional<Prediction> predict(const Place& at, const Pattern& pattern, double length_scale) const {
-    std::array<Point, max_neighbours> points;
-    int n = 0, nearest = 1000;
-    const HalfDiff centre = TableGrid::centre(TableGrid::Cell{at.h, at.d, FoldedChannel::fold(at.p)});
-    const double turn = std::max(0.05, std::sin(centre.theta_h) * std::sin(centre.theta_d));
-    const double q = cosines_[FoldedChannel::index(at)];
-    for (int k = 0; k < pattern.n; ++k) {
-      const Place& o = pattern.offset[static_cast<std::size_t>(k)];
-      const Place c{at.h + o.h, at.d + o.d, at.p + o.p};
-      if (!known(c)) continue;
-      const std::size_t i = FoldedChannel::index(c);
-      nearest = std::min(nearest, std::max({std::abs(o.h), std::abs(o.d), std::abs(o.p)}));
-      points[static_cast<std::size_t>(n++)] = {o.h / length_h, o.d / length_d, o.p * turn / length_p, slope_h * o.h, slope_d * o.d,
-                                               slope_q * (cosines_[i] - q), data_.log(i), data_.variance(i)};
-    }
-    if (n < 4) return std::nullopt;
-    Prediction result = krige(points.data(), n, 1 / length_scale, data_.row_mean(at.h));
-    result.gap = gap_class(nearest);
-    return result;
-  }
-
- private:
-  struct Point {
-    double h, d, p, drift_h, drift_d, drift_q, value, variance;
-  };
-
-  /// Simple kriging at the origin; the drifts are part of the covariance.
-  static Prediction krige(const Point* points, int n, double inverse_scale, double row_mean) {
-    const auto matern = [&](double dh, double dd, double dp) {
-      const double r = std::sqrt(5 * (dh * dh + dd * dd + dp * dp)) * inverse_scale;
-      return amplitude * amplitude * (1 + r + r * r / 3) * std::exp(-r);
-    };
-    double l[max_neighbours][max_neighbours], y[max_neighbours], k[max_neighbours];
-    for (int i = 0; i < n; ++i) {
-      const Point& a = points[i];
-      for (int j = 0; j <= i; ++j) {
-        const Point& b = points[j];
-        l[i][j] = matern(a.h - b.h, a.d - b.d, a.p - b.p) + mean_sigma * mean_sigma + a.drift_h * b.drift_h + a.drift_d * b.drift_d +
-                  a.drift_q * b.drift_q;
-      }
-      l[i][i] += a.variance + nugget * nugget;
-      y[i] = a.value;
-      k[i] = matern(a.h, a.d, a.p) + mean_sigma * mean_sigma;
-    }
-    double mean = 0, variance = amplitude * amplitude + mean_sigma * mean_sigma;
-    for (int i = 0; i < n; ++i) {  // Cholesky; y and k are solved along
-      for (int j = 0; j < i; ++j) {
-        double sum = l[i][j];
-        for (int m = 0; m < j; ++m) sum -= l[i][m] * l[j][m];
-        l[i][j] = sum / l[j][j];
-      }
-      double diagonal = l[i][i];
-      for (int m = 0; m < i; ++m) diagonal -= l[i][m] * l[i][m], y[i] -= l[i][m] * y[m], k[i] -= l[i][m] * k[m];
-      l[i][i] = std::sqrt(std::max(diagonal, nugget * nugget / 2));
-      y[i] /= l[i][i];
-      k[i] /= l[i][i];
-      mean += y[i] * k[i];
-      variance -= k[i] * k[i];
-    }
-    return {mean + row_mean, std::max(variance, nugget * nugget), 0};
-  }
-
-  FoldedChannel data_;
-  std::vector<float> cosines_;  // ln(cos(theta_i) cos(theta_o)) at the cells' centres
-};
+using Pattern = FillPattern;
+using Prediction = Kriging::Prediction;
 
 /// Whether a folded cell is to be filled: neither half is known, its centre is far enough above the horizon.
 std::vector<Place> holes_of(const Kriging& kriging, double min_cosine) {
@@ -183,7 +50,7 @@ struct Trial {
   int theta_h;
   double log_cosines;
   int phi_d;       ///< of the known cell, folded
-  double stretch;  ///< distance of its data, relative to those of the hole that it stands for
+  std::array<double, 3> stretch;  ///< distances of its data along theta_h, theta_d, phi_d, relative to those of the hole that it stands for
 };
 
 double percentile_95(std::vector<double>& values) {
@@ -192,34 +59,48 @@ double percentile_95(std::vector<double>& values) {
   return *place;
 }
 
-/// The pattern around a hole, laid around a known cell: where the cell that it asks for is not known, the next one along the same line stands in.
-/// `scale`: the whole pattern this many times as far apart.
-Pattern laid_around(const Kriging& kriging, const Place& donor, const Pattern& pattern, int scale, bool inwards_first) {
-  Pattern laid;
+/// The pattern around a hole, laid around a known cell: where the cell that it asks for is not known, the next one further out stands in, along as
+/// few axes as possible. `scale`: the pattern so many times as far apart along each axis.
+struct LaidPattern : Pattern {
+  std::array<double, 3> stretch{1, 1, 1};  ///< distances along theta_h, theta_d, phi_d, relative to those asked for
+};
+LaidPattern laid_around(const Kriging& kriging, const Place& donor, const Pattern& pattern, const Place& scale) {
+  static const std::vector<Place> growths = [] {
+    std::vector<Place> all;
+    for (int sum = 0; sum <= 3; ++sum)
+      for (int h = 0; h <= sum; ++h)
+        for (int d = 0; d <= sum - h; ++d) all.push_back({h, d, sum - h - d});
+    return all;
+  }();
+  const auto grown = [](int size, int by) { return size == 0 ? 0 : size + (size > 0 ? by : -by); };
+  LaidPattern laid;
+  std::array<int, 3> asked{}, found{};
   for (int k = 0; k < pattern.n; ++k) {
     const Place& o = pattern.offset[static_cast<std::size_t>(k)];
-    const int steps = std::max({std::abs(o.h), std::abs(o.d), std::abs(o.p)});
-    const Place unit{o.h / steps, o.d / steps, o.p / steps};
-    for (int change = 0; change < 6; ++change) {  // 0, +1, -1, +2, -2, +3, or the other way round
-      const int size = (change + 1) / 2, j = scale * steps + ((change % 2 == 1) != inwards_first ? size : -size);
-      const Place offset{j * unit.h, j * unit.d, j * unit.p};
-      if (j < 1 || !kriging.known({donor.h + offset.h, donor.d + offset.d, donor.p + offset.p})) continue;
+    for (const Place& g : growths) {
+      if ((o.h == 0 && g.h > 0) || (o.d == 0 && g.d > 0) || (o.p == 0 && g.p > 0)) continue;
+      const Place offset{grown(o.h * scale.h, g.h), grown(o.d * scale.d, g.d), grown(o.p * scale.p, g.p)};
+      if (!kriging.known({donor.h + offset.h, donor.d + offset.d, donor.p + offset.p})) continue;
       const auto used = [&](const Place& other) { return other.h == offset.h && other.d == offset.d && other.p == offset.p; };
       if (std::any_of(laid.offset.begin(), laid.offset.begin() + laid.n, used)) continue;
       laid.offset[static_cast<std::size_t>(laid.n++)] = offset;
+      asked[0] += std::abs(o.h), asked[1] += std::abs(o.d), asked[2] += std::abs(o.p);
+      found[0] += std::abs(offset.h), found[1] += std::abs(offset.d), found[2] += std::abs(offset.p);
       break;
     }
   }
+  for (std::size_t axis = 0; axis < 3; ++axis)
+    if (asked[axis] > 0) laid.stretch[axis] = static_cast<double>(found[axis]) / asked[axis];
   return laid;
 }
 
-std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& holes, std::size_t n_trials, double length_scale, int scale) {
+std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& holes, std::size_t n_trials, double length_scale, const Place& scale) {
   std::mt19937_64 generator(20050901);
   const auto below = [&](int n) { return static_cast<int>(generator() % static_cast<unsigned>(n)); };
   struct Experiment {
     Place donor;
-    Pattern pattern;
-    double stretch;
+    LaidPattern pattern;
+    std::size_t gap;  // of the hole
   };
   std::vector<Experiment> experiments;
   for (std::size_t t = 0; t < n_trials && !holes.empty(); ++t) {
@@ -235,20 +116,20 @@ std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& h
       const int p = hole.p + below(91) - 45;
       const Place donor{hole.h + below(4 * wide + 1) - 2 * wide, hole.d + below(6 * wide + 3) - 3 * wide - 1, p};
       if (!kriging.known(donor)) continue;
-      const Pattern laid = laid_around(kriging, donor, pattern, scale, below(4) == 0);
+      const LaidPattern laid = laid_around(kriging, donor, pattern, scale);
       if (laid.n * 10 < pattern.n * 8) continue;
-      experiments.push_back({donor, laid, static_cast<double>(laid.nearest()) / pattern.nearest()});
+      experiments.push_back({donor, laid, gap_class(pattern.nearest())});
       break;
     }
   }
   std::vector<Trial> trials(experiments.size());
   tbb::parallel_for(std::size_t{0}, experiments.size(), [&](std::size_t k) {
-    const auto& [donor, pattern, stretch] = experiments[k];
+    const auto& [donor, pattern, gap] = experiments[k];
     const std::size_t i = FoldedChannel::index(donor);
     const auto p = kriging.predict(donor, pattern, length_scale);
     if (p)
       trials[k] = {std::sqrt(p->variance + kriging.data().variance(i)), std::abs(p->log - kriging.data().log(i) - kriging.data().row_mean(donor.h)),
-                   gap_class(static_cast<int>(std::lround(pattern.nearest() / stretch))), donor.h, kriging.log_cosines(donor), FoldedChannel::fold(donor.p), stretch};
+                   gap, donor.h, kriging.log_cosines(donor), FoldedChannel::fold(donor.p), pattern.stretch};
   });
   std::erase_if(trials, [](const Trial& t) { return t.own_sigma == 0; });
   return trials;
@@ -284,8 +165,8 @@ std::array<double, Calibration::n_classes> factors_of(const std::vector<Trial>& 
 Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, std::size_t n_trials) {
   Calibration best;
   std::vector<Trial> trials;
-  for (const double scale : length_scales) {
-    std::vector<Trial> now = trials_of(kriging, holes, n_trials, scale, 1);
+  for (const double scale : Kriging::length_scales) {
+    std::vector<Trial> now = trials_of(kriging, holes, n_trials, scale, {1, 1, 1});
     double sum = 0;
     for (const Trial& t : now) sum += t.error;
     if (now.empty()) continue;
@@ -297,22 +178,27 @@ Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, s
   }
   constexpr std::size_t enough = 60;
   if (trials.size() < enough) return best;
-  std::vector<double> cosines, stretches;
-  for (const Trial& t : trials) cosines.push_back(t.log_cosines), stretches.push_back(t.stretch);
+  std::vector<double> cosines;
+  for (const Trial& t : trials) cosines.push_back(t.log_cosines);
   std::sort(cosines.begin(), cosines.end());
   for (std::size_t c = 1; c < Calibration::n_grazing; ++c) best.limits[c - 1] = cosines[c * cosines.size() / Calibration::n_grazing];
-  const auto factors = factors_of(trials, best, enough);
-  best.factor = factors;
-  std::nth_element(stretches.begin(), stretches.begin() + static_cast<std::ptrdiff_t>(stretches.size() / 2), stretches.end());
-  if (stretches[stretches.size() / 2] > 1.5) {
-    // Where every other row is missing, no known cell has its data as near as the holes have. What doubling the distance does to the factor,
-    // halving it undoes in part: half of it where the factor grows, a quarter where it falls, because too narrow bounds do more harm.
-    const std::vector<Trial> wider = trials_of(kriging, holes, n_trials, best.length_scale, 4);
-    if (wider.size() >= enough) {
-      const auto wide = factors_of(wider, best, enough);
-      for (std::size_t c = 0; c < Calibration::n_classes; ++c) best.factor[c] = factors[c] * std::pow(factors[c] / wide[c], factors[c] < wide[c] ? 0.25 : 0.5);
-    }
+  best.factor = factors_of(trials, best, enough);
+
+  // Where every other row is missing, no known cell has its data as near as the holes have. What doubling the distance across the rows did to a
+  // factor, halving it undoes; it never makes it larger.
+  std::array<int, 3> scale{1, 1, 1};
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    std::vector<double> stretches;
+    for (const Trial& t : trials) stretches.push_back(t.stretch[axis]);
+    const auto median = stretches.begin() + static_cast<std::ptrdiff_t>(stretches.size() / 2);
+    std::nth_element(stretches.begin(), median, stretches.end());
+    if (*median > 1.5) scale[axis] = 4;
   }
+  if (scale == std::array<int, 3>{1, 1, 1}) return best;
+  const std::vector<Trial> wider = trials_of(kriging, holes, n_trials, best.length_scale, {scale[0], scale[1], scale[2]});
+  if (wider.size() < enough) return best;
+  const auto wide = factors_of(wider, best, enough);
+  for (std::size_t c = 0; c < Calibration::n_classes; ++c) best.factor[c] *= std::min(1.0, best.factor[c] / wide[c]);
   return best;
 }
 

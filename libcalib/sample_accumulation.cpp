@@ -41,7 +41,8 @@ PixelFate Sampler::resolve(const View& view, const SpherePixels& pixels, std::si
             .phi_d = weighted(brdf::fold_phi_d(lit.coordinates.phi_d) - centre.phi_d),
             .along = weighted(lit.footprint.along + squared_slope * offset * offset),
             .across = weighted(lit.footprint.across),
-            .mixed = weighted(lit.footprint.mixed)};
+            .mixed = weighted(lit.footprint.mixed),
+            .none = 0};
   slot = brdf::reachable_cells().slot(cell.theta_h * Grid::n_theta_d + cell.theta_d, cell.phi_d);
   return PixelFate::used;
 }
@@ -94,17 +95,17 @@ struct EightValues {
 static_assert((static_cast<unsigned>(PixelFlag::clipped) & static_cast<unsigned>(PixelFlag::invalid) & 1) == 1);
 static_assert(((static_cast<unsigned>(PixelFlag::valid) | static_cast<unsigned>(PixelFlag::dark)) & 1) == 0);
 
+LACQUER_ALWAYS_INLINE Float8 every_second(const float* v) {
+  return __builtin_shufflevector(load<Float8>(v), load<Float8>(v + 8), 0, 2, 4, 6, 8, 10, 12, 14);
+}
+
 LACQUER_ALWAYS_INLINE EightValues eight_values(const ImageChannel& from, const PixelGroup& pixels) {
   const RadianceImage& image = from.image;
   const UInt32x8 index = load<UInt32x8>(pixels.index);
   if (from.per_pixel == 1 && index[0] + 16 <= image.radiance.size() && !any((Int32x8)(index - index[0]) != Int32x8{0, 2, 4, 6, 8, 10, 12, 14})) {
-    const auto every_second = [&](const std::vector<float>& values) {
-      const float* v = values.data() + index[0];
-      return __builtin_shufflevector(load<Float8>(v), load<Float8>(v + 8), 0, 2, 4, 6, 8, 10, 12, 14);
-    };
     std::uint64_t flags[2];
     std::memcpy(flags, image.flags.data() + index[0], sizeof flags);
-    return {every_second(image.radiance), every_second(image.variance), ((flags[0] | flags[1]) & first_of_two_bytes) != 0};
+    return {every_second(&image.radiance[index[0]]), every_second(&image.variance[index[0]]), ((flags[0] | flags[1]) & first_of_two_bytes) != 0};
   }
   EightValues v;
   unsigned flags = 0;

@@ -3,115 +3,18 @@
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
-#include <numbers>
 #include <utility>
 
 #include "libbrdf/table_accumulator.h"
-#include "libbrdf/vector_math.h"
+#include "libcalib/sample_kernel_math.h"
 
 namespace lacquer::calib {
 
 namespace {
 
-using brdf::Double4;
-using brdf::Float4;
-using brdf::Float8;
-using brdf::Int32x8;
-using brdf::load;
-using brdf::maximum;
-using brdf::minimum;
-using brdf::select;
-using brdf::splat;
-using brdf::store;
-using brdf::UInt32x8;
+using namespace kernel;
 using Grid = brdf::TableGrid;
-
-constexpr float pi = std::numbers::pi_v<float>;
 constexpr std::size_t width = SampleBlock::width;
-
-/// What rounding in float may do: to components of unit vectors and to cosines, some units in the last place of 1.
-constexpr float rounding = 4e-7f;
-
-LACQUER_ALWAYS_INLINE bool any(Int32x8 m) {
-  return brdf::any((brdf::Int64x4)m);
-}
-LACQUER_ALWAYS_INLINE Float8 absolute(Float8 x) { return (Float8)((UInt32x8)x & 0x7fffffffu); }
-
-LACQUER_ALWAYS_INLINE Float8 root(Float8 x) {
-  return Float8{__builtin_sqrtf(x[0]), __builtin_sqrtf(x[1]), __builtin_sqrtf(x[2]), __builtin_sqrtf(x[3]),
-                __builtin_sqrtf(x[4]), __builtin_sqrtf(x[5]), __builtin_sqrtf(x[6]), __builtin_sqrtf(x[7])};
-}
-
-/// Eight doubles, for what would cancel in float.
-struct Wide {
-  Double4 low, high;
-};
-LACQUER_ALWAYS_INLINE Wide wide(Double4 x) { return {x, x}; }
-LACQUER_ALWAYS_INLINE Wide operator+(const Wide& a, const Wide& b) { return {a.low + b.low, a.high + b.high}; }
-LACQUER_ALWAYS_INLINE Wide operator-(const Wide& a, const Wide& b) { return {a.low - b.low, a.high - b.high}; }
-LACQUER_ALWAYS_INLINE Wide operator*(const Wide& a, const Wide& b) { return {a.low * b.low, a.high * b.high}; }
-LACQUER_ALWAYS_INLINE Float8 narrow(const Wide& x) {
-  return __builtin_shufflevector(__builtin_convertvector(x.low, Float4), __builtin_convertvector(x.high, Float4), 0, 1, 2, 3, 4, 5, 6, 7);
-}
-typedef std::int32_t Int32x4 __attribute__((vector_size(16)));
-/// In steps of PixelGroup::normal_step; what it is multiplied by is to be as much smaller.
-struct Normal {
-  Wide x, y, z;
-};
-LACQUER_ALWAYS_INLINE Wide load_wide(const std::int32_t* from) {
-  return {__builtin_convertvector(load<Int32x4>(from), Double4), __builtin_convertvector(load<Int32x4>(from + 4), Double4)};
-}
-LACQUER_ALWAYS_INLINE Normal load_normal(const PixelGroup& p) { return {load_wide(p.normal[0]), load_wide(p.normal[1]), load_wide(p.normal[2])}; }
-struct DoubleVector {
-  Double4 x, y, z;
-  explicit DoubleVector(const glm::dvec3& v)
-      : x(brdf::splat(v.x * PixelGroup::normal_step)), y(brdf::splat(v.y * PixelGroup::normal_step)), z(brdf::splat(v.z * PixelGroup::normal_step)) {}
-};
-LACQUER_ALWAYS_INLINE Wide dot(const Normal& n, const DoubleVector& v) { return n.x * wide(v.x) + n.y * wide(v.y) + n.z * wide(v.z); }
-
-/// Angle of sine `y` and cosine `x`, both >= 0, in [0, pi/2], from the smaller one: the Chebyshev interpolant of asin(z) / z in z^2 (error 1.5e-8).
-LACQUER_ALWAYS_INLINE Float8 angle_of(Float8 y, Float8 x) {
-  const Float8 z = minimum(x, y), u = z * z;
-  Float8 p = splat(0.109964259f);
-  p = p * u - splat(0.0905528898f);
-  p = p * u + splat(0.0758322594f);
-  p = p * u + splat(0.0166412983f);
-  p = p * u + splat(0.046494938f);
-  p = p * u + splat(0.0748801093f);
-  p = p * u + splat(0.166669575f);
-  p = p * u + splat(0.999999989f);
-  const Float8 a = p * z;
-  return select(y > x, splat(pi / 2) - a, a);
-}
-
-/// (1 - x)^g for x in [0, 0.2]: ln(1 - x) = 2 artanh(-x / (2 - x)), e^y by powers of two and Taylor's series.
-LACQUER_ALWAYS_INLINE Float8 power_of_one_minus(Float8 below_one, Float8 g) {
-  const Float8 z = (splat(0.0f) - below_one) / (splat(2.0f) - below_one), u = z * z;
-  const Float8 log = z * (splat(2.0f) + u * (splat(2.0f / 3) + u * (splat(0.4f) + u * splat(2.0f / 7))));
-  const Float8 x = maximum(g * log, splat(-80.0f));
-  constexpr float magic = 12582912.0f;  // 1.5 * 2^23
-  const Float8 shifted = x * splat(1.44269504f) + splat(magic), n = shifted - splat(magic);
-  const Float8 r = (x - n * splat(0.693359375f)) + n * splat(2.12194440e-4f);  // ln 2 in two parts
-  Float8 p = splat(1.0f / 720);
-  p = p * r + splat(1.0f / 120);
-  p = p * r + splat(1.0f / 24);
-  p = p * r + splat(1.0f / 6);
-  p = p * r + splat(0.5f);
-  p = p * r + splat(1.0f);
-  p = p * r + splat(1.0f);
-  return (Float8)((UInt32x8)p + ((UInt32x8)shifted << 23));
-}
-
-/// Cell of a coordinate in units of cells, and whether an error of rounding_doubt + doubt / size might move it to another one.
-struct CellOf {
-  Float8 cell;
-  Int32x8 doubtful;
-};
-LACQUER_ALWAYS_INLINE CellOf cell_of(Float8 x, int n, float rounding_doubt, float doubt, Float8 size) {
-  const Float8 cell = __builtin_convertvector(__builtin_convertvector(minimum(x, splat(static_cast<float>(n) - 0.5f)), Int32x8), Float8);
-  const Float8 fraction = x - cell;
-  return {cell, (minimum(fraction, splat(1.0f) - fraction) - splat(rounding_doubt)) * size < splat(doubt)};
-}
 
 /// What is the same for all pixels of a view, in every lane: the compiler would otherwise spread it again for every group.
 struct Constants {
@@ -192,8 +95,8 @@ LACQUER_ALWAYS_INLINE void store_transposed(const Float8 (&c)[8], PixelSample* t
 
 /// (1 - sin^2 of the angle off the light's axis)^(exponent / 2).
 LACQUER_ALWAYS_INLINE Float8 falloff(const PixelGroup& p, const Constants& view, Float8 inverse_light_distance, Int32x8& doubtful) {
-  const auto component = [&](int i) { return __builtin_convertvector(load<Int32x8>(p.normal[i]), Float8); };
-  const Float8 x = component(0), y = component(1), z = component(2);
+  const Float8 x = __builtin_convertvector(load<Int32x8>(p.normal[0]), Float8), y = __builtin_convertvector(load<Int32x8>(p.normal[1]), Float8),
+               z = __builtin_convertvector(load<Int32x8>(p.normal[2]), Float8);
   Float8 sin2 = splat(0.0f);
   for (const auto& a : view.off_axis) {
     const Float8 off = (a[0] * x + a[1] * y + a[2] * z + a[3]) * inverse_light_distance;

@@ -31,10 +31,10 @@ enum class PixelFate : std::uint32_t {
 
 /// All of a sample but its value, as CellSums adds it up.
 struct alignas(32) PixelSample {
-  float weight = 0;                          ///< irradiance relative to the light's on axis
-  float theta_h = 0, theta_d = 0, phi_d = 0; ///< weight * (coordinate - cell's centre)
-  float along = 0, across = 0, mixed = 0;    ///< weight * footprint, along with the spread within the cell
-  float none = 0;
+  float weight;                      ///< irradiance relative to the light's on axis
+  float theta_h, theta_d, phi_d;     ///< weight * (coordinate - cell's centre)
+  float along, across, mixed;        ///< weight * footprint, along with the spread within the cell
+  float none;                        ///< 0
 };
 static_assert(sizeof(PixelSample) == 32);
 
