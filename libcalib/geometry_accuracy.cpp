@@ -1,10 +1,12 @@
 #include "libcalib/geometry_accuracy.h"
 
 #include <fmt/format.h>
+#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
+#include <numeric>
 #include <opencv2/core.hpp>
 
 namespace lacquer::calib {
@@ -28,9 +30,8 @@ struct Consequence {
   double log_distance;
 };
 
-Consequence consequence(const GeometryUnknowns& unknowns, const std::vector<double>& x, const GeometryEvidence::View& h, const glm::dvec2& pixel) {
-  const acquire::RigGeometry g = unknowns.geometry(x);
-  const glm::dvec3 light = g.place_light(h.light, h.turntable_angle * unknowns.turntable_scale(x)).position;
+Consequence consequence(const acquire::RigGeometry& g, double turntable_scale, const GeometryEvidence::View& h, const glm::dvec2& pixel) {
+  const glm::dvec3 light = g.place_light(h.light, h.turntable_angle * turntable_scale).position;
   Consequence c{glm::normalize(light), glm::dvec3(0), std::log(glm::length(light))};
   if (const auto point = acquire::trace(g, pixel)) c.half = glm::normalize(glm::normalize(light - point->position) + point->wo) - point->normal;
   return c;
@@ -61,13 +62,15 @@ std::vector<std::string> weak_directions(const SymmetricMatrix& information, con
   cv::eigen(a, values, vectors);
   std::vector<std::string> texts;
   for (int e = n - 1; e >= 0; --e) {
-    std::vector<double> v(static_cast<std::size_t>(n)), covariance(static_cast<std::size_t>(n * n));
+    std::vector<double> v(static_cast<std::size_t>(n));
     for (int k = 0; k < n; ++k) v[static_cast<std::size_t>(k)] = vectors.at<double>(e, k);
     if (2 * from_images.quadratic_form(0, v) >= values.at<double>(e)) continue;  // more than the prior says
-    for (int r = 0; r < n; ++r)
-      for (int c = 0; c < n; ++c)
-        covariance[static_cast<std::size_t>(r * n + c)] = v[static_cast<std::size_t>(r)] * v[static_cast<std::size_t>(c)] / values.at<double>(e);
-    const double half = rms_effect(effect.half, covariance, 3), light = rms_effect(effect.light, covariance, 3), distance = rms_effect(effect.distance, covariance, 1);
+    const auto alone = [&](const std::vector<std::vector<double>>& rows, double per_view) {
+      double sum = 0;
+      for (const auto& row : rows) sum += std::pow(std::inner_product(row.begin(), row.end(), v.begin(), 0.0), 2);
+      return rows.empty() ? 0 : std::sqrt(sum * per_view / (values.at<double>(e) * static_cast<double>(rows.size())));
+    };
+    const double half = alone(effect.half, 3), light = alone(effect.light, 3), distance = alone(effect.distance, 1);
     if (half < noticeable && light < 2 * noticeable && distance < 0.003) continue;
     std::vector<std::size_t> order(v.size());
     for (std::size_t k = 0; k < order.size(); ++k) order[k] = k;
@@ -139,27 +142,32 @@ GeometryEffects geometry_effects(const GeometryResiduals& residuals, const std::
   GeometryEffects e;
   const acquire::RigGeometry g = unknowns.geometry(x);
   const std::size_t n = views.size(), stride = std::max<std::size_t>(1, n / max_views);
-  for (std::size_t i = 0; i < n; i += stride) {
-    const GeometryEvidence::View& h = views[i];
-    const auto lit = sample_pixel(g, g.place_light(h.light, h.turntable_angle * unknowns.turntable_scale(x)).position, i);
-    if (!lit) continue;
-    const glm::dvec2 pixel = *lit;
-    std::vector<std::vector<double>> rows(7, std::vector<double>(x.size()));
-    for (std::size_t k = 0; k < x.size(); ++k) {
-      std::vector<double> up = x, down = x;
-      up[k] += step;
-      down[k] -= step;
-      const Consequence a = consequence(unknowns, up, h, pixel), b = consequence(unknowns, down, h, pixel);
-      for (int c = 0; c < 3; ++c) {
-        rows[static_cast<std::size_t>(c)][k] = (a.light[c] - b.light[c]) / (2 * step);
-        rows[static_cast<std::size_t>(3 + c)][k] = (a.half[c] - b.half[c]) / (2 * step);
+  struct Sampled {
+    GeometryEvidence::View view;
+    glm::dvec2 pixel;
+  };
+  std::vector<Sampled> sampled;
+  for (std::size_t i = 0; i < n; i += stride)
+    if (const auto lit = sample_pixel(g, g.place_light(views[i].light, views[i].turntable_angle * unknowns.turntable_scale(x)).position, i)) sampled.push_back({views[i], *lit});
+  const std::vector<double> none(x.size());
+  e.light.assign(3 * sampled.size(), none);
+  e.half.assign(3 * sampled.size(), none);
+  e.distance.assign(sampled.size(), none);
+  tbb::parallel_for(std::size_t{0}, x.size(), [&](std::size_t k) {
+    std::vector<double> up = x, down = x;
+    up[k] += step;
+    down[k] -= step;
+    const acquire::RigGeometry above = unknowns.geometry(up), below = unknowns.geometry(down);
+    const double scale_above = unknowns.turntable_scale(up), scale_below = unknowns.turntable_scale(down);
+    for (std::size_t i = 0; i < sampled.size(); ++i) {
+      const Consequence a = consequence(above, scale_above, sampled[i].view, sampled[i].pixel), b = consequence(below, scale_below, sampled[i].view, sampled[i].pixel);
+      for (std::size_t c = 0; c < 3; ++c) {
+        e.light[3 * i + c][k] = (a.light[static_cast<int>(c)] - b.light[static_cast<int>(c)]) / (2 * step);
+        e.half[3 * i + c][k] = (a.half[static_cast<int>(c)] - b.half[static_cast<int>(c)]) / (2 * step);
       }
-      rows[6][k] = (a.log_distance - b.log_distance) / (2 * step);
+      e.distance[i][k] = (a.log_distance - b.log_distance) / (2 * step);
     }
-    e.light.insert(e.light.end(), rows.begin(), rows.begin() + 3);
-    e.half.insert(e.half.end(), rows.begin() + 3, rows.begin() + 6);
-    e.distance.push_back(rows[6]);
-  }
+  });
   return e;
 }
 

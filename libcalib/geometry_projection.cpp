@@ -12,16 +12,16 @@ namespace {
 /// sphere's centre; lengths in radii. Alhazen's problem: the normal bisects the directions to camera and light.
 std::optional<double> reflecting_angle(double camera, double light, double to_light) {
   if (!(camera > 1 && light > 1)) return std::nullopt;
-  const auto excess = [&](double a) {
-    return std::atan2(light * std::sin(to_light - a), light * std::cos(to_light - a) - 1) - std::atan2(camera * std::sin(a), camera * std::cos(a) - 1);
-  };
-  double low = 0, high = to_light;  // excess falls from > 0 to < 0
+  double low = 0, high = to_light;
   double a = 0.5 * to_light;
   for (int i = 0; i < 100; ++i) {
-    const double f = excess(a);
-    (f > 0 ? low : high) = a;
-    const auto slope = [](double d, double angle) { return d * (d - std::cos(angle)) / (d * d - 2 * d * std::cos(angle) + 1) ; };
-    double next = a + f / (slope(light, to_light - a) + slope(camera, a));
+    const double sine = std::sin(a), cosine = std::cos(a), light_sine = light * std::sin(to_light - a), light_cosine = std::cos(to_light - a);
+    // Angle of incidence less angle of reflection: between the directions (cosine, sine) to the light and to the camera.
+    const double lx = light * light_cosine - 1, cx = camera * cosine - 1, cy = camera * sine;
+    const double excess = std::atan2(light_sine * cx - lx * cy, lx * cx + light_sine * cy);  // falls from > 0 to < 0
+    (excess > 0 ? low : high) = a;
+    const auto slope = [](double d, double cosine_there) { return d * (d - cosine_there) / (d * d - 2 * d * cosine_there + 1); };
+    double next = a + excess / (slope(light, light_cosine) + slope(camera, cosine));
     if (!(next > low && next < high)) next = 0.5 * (low + high);
     if (std::abs(next - a) < 1e-15) break;
     a = next;

@@ -1,5 +1,7 @@
 #include "libcalib/geometry_residuals.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <cmath>
 #include <glm/geometric.hpp>
@@ -106,8 +108,8 @@ std::vector<double> GeometryResiduals::at(const std::vector<double>& x) const {
 
 std::vector<std::vector<double>> GeometryResiduals::derivatives(const std::vector<double>& x) const {
   constexpr double step = 1e-3;
-  std::vector<std::vector<double>> columns;
-  for (std::size_t k = 0; k < x.size(); ++k) {
+  std::vector<std::vector<double>> columns(x.size());
+  tbb::parallel_for(std::size_t{0}, x.size(), [&](std::size_t k) {
     std::vector<double> up = x, down = x;
     up[k] += step;
     down[k] -= step;
@@ -116,8 +118,8 @@ std::vector<std::vector<double>> GeometryResiduals::derivatives(const std::vecto
       std::vector<double> a = at(up);
       const std::vector<double> b = at(down);
       for (std::size_t i = 0; i < a.size(); ++i) a[i] = (a[i] - b[i]) / (2 * step);
-      columns.push_back(std::move(a));
-      continue;
+      columns[k] = std::move(a);
+      return;
     }
     // One light moves: only its own highlights do.
     std::vector<double> column(n_data()), prior_up, prior_down;
@@ -133,8 +135,8 @@ std::vector<std::vector<double>> GeometryResiduals::derivatives(const std::vecto
     unknowns_.prior_residuals(up, prior_up);
     unknowns_.prior_residuals(down, prior_down);
     for (std::size_t i = 0; i < prior_up.size(); ++i) column.push_back((prior_up[i] - prior_down[i]) / (2 * step));
-    columns.push_back(std::move(column));
-  }
+    columns[k] = std::move(column);
+  });
   return columns;
 }
 
@@ -231,12 +233,17 @@ void GeometryResiduals::select_inliers(const std::vector<double>& x) {
 SymmetricMatrix normal_matrix(const std::vector<std::vector<double>>& columns, const std::vector<double>& weight) {
   const std::size_t n = columns.size();
   SymmetricMatrix a(n);
-  for (std::size_t r = 0; r < n; ++r)
+  // A light's column is 0 but for its own highlights and priors.
+  tbb::parallel_for(std::size_t{0}, n, [&](std::size_t r) {
+    std::vector<std::size_t> met;
+    for (std::size_t i = 0; i < weight.size(); ++i)
+      if (columns[r][i] != 0) met.push_back(i);
     for (std::size_t c = 0; c <= r; ++c) {
       double sum = 0;
-      for (std::size_t i = 0; i < weight.size(); ++i) sum += weight[i] * columns[r][i] * columns[c][i];
+      for (const std::size_t i : met) sum += weight[i] * columns[r][i] * columns[c][i];
       a.at(r, c) = sum;
     }
+  });
   return a;
 }
 

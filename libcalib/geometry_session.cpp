@@ -148,7 +148,10 @@ class Estimator {
   }
 
   void solve(const GeometryEvidence& evidence) {
-    result_.estimate = solve_geometry(nominal_, result_.edges, result_.highlights, options_.priors, evidence);
+    const GeometryUnknowns unknowns(nominal_, options_.priors, lights_with_data(nominal_, result_.highlights, evidence));
+    const bool before = std::all_of(unknowns.parameters().begin(), unknowns.parameters().end(),
+                                    [&](const GeometryParameter& u) { return named(result_.estimate.uncertainty.parameters, u.name) != nullptr; });
+    result_.estimate = solve_geometry(nominal_, result_.edges, result_.highlights, options_.priors, evidence, before ? solution(unknowns) : std::vector<double>{});
     trial_.geometry = result_.estimate.geometry;
     trial_.turntable_scale = result_.estimate.turntable_scale;
   }

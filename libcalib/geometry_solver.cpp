@@ -177,14 +177,16 @@ std::vector<bool> lights_with_data(const acquire::RigGeometry& nominal, const st
 }
 
 GeometryEstimate solve_geometry(const acquire::RigGeometry& nominal, const std::vector<EdgePoint>& edges, const std::vector<Highlight>& highlights,
-                                const GeometryPriors& priors, const GeometryEvidence& evidence) {
+                                const GeometryPriors& priors, const GeometryEvidence& evidence, const std::vector<double>& start) {
   priors.validate();
   check_input(nominal, edges, highlights, evidence);
   const GeometryUnknowns unknowns(nominal, priors, lights_with_data(nominal, highlights, evidence));
   GeometryResiduals residuals(unknowns, edges, highlights, evidence);
-  std::vector<double> x(unknowns.size());
-
-  minimise(residuals, 3, x);
+  std::vector<double> x = start;
+  if (x.size() != unknowns.size()) {
+    x.assign(unknowns.size(), 0.0);
+    minimise(residuals, 3, x);
+  }
   GeometryEstimate e;
   constexpr int max_rounds = 12;
   for (int round = 0; round < max_rounds; ++round) {

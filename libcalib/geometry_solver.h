@@ -87,8 +87,9 @@ std::vector<bool> lights_with_data(const acquire::RigGeometry& nominal, const st
 
 /// Maximum of the posterior: least squares of all residuals over their sigmas and of the priors, outliers found with a Cauchy loss first
 /// and then left out by name. The sigmas of the data are scaled to what the residuals show, see GeometryEstimate. `evidence` is of the
-/// unknowns of lights_with_data. Throws Error{input}: orthographic camera, a distant light with a highlight, no data at all.
+/// unknowns of lights_with_data. `start`: a former solution in units of the priors, if there is one; outliers are then judged by it. Throws Error{input}: orthographic camera, a distant light with a highlight, no data at all.
 GeometryEstimate solve_geometry(const acquire::RigGeometry& nominal, const std::vector<EdgePoint>& edges,
-                                const std::vector<Highlight>& highlights, const GeometryPriors& priors = {}, const GeometryEvidence& evidence = {});
+                                const std::vector<Highlight>& highlights, const GeometryPriors& priors = {}, const GeometryEvidence& evidence = {},
+                                const std::vector<double>& start = {});
 
 }  // namespace lacquer::calib

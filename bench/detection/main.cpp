@@ -16,6 +16,7 @@
 #include "libcalib/geometry_projection.h"
 #include "libcalib/highlights.h"
 #include "libcalib/sphere_outline.h"
+#include "solving.h"
 #include "tests/libcalib/rendered_view.h"
 
 /// Speed of detection beside the errors of what it finds, and centroids over seeds: bias, scatter and stated sigma of hard cases.
@@ -222,20 +223,25 @@ void centroids(int seeds, const std::string& filter) {
 }  // namespace
 
 int main(int argc, char** argv) try {
-  CLI::App app("Detection of silhouette and highlights: speed, errors, hard cases");
+  CLI::App app("Speed of detection, lens and geometry beside their errors; hard cases of highlights");
   bool smoke = false;
-  std::string folder = "bench-detection", only;
+  std::string folder = "bench-detection", only, session;
   int seeds = 50, repeats = 5;
   app.add_flag("--smoke", smoke, "two views, two seeds: does it run?");
   app.add_option("--folder", folder, "for the file whose reading is timed")->capture_default_str();
   app.add_option("--seeds", seeds, "photographs per case; 0: no cases")->capture_default_str();
   app.add_option("--repeats", repeats, "of the timings; 0: none")->capture_default_str();
+  app.add_option("--session", session, "merged session whose geometry is timed; default: the paper's plan with a quarter of the pixels each way, rendered");
   app.add_option("--case", only, "cases whose name has this");
   CLI11_PARSE(app, argc, argv);
   if (smoke) seeds = 2, repeats = 1;
   std::vector<double> angles;
   for (double a = 0; a <= (smoke ? 10 : 120); a += 10) angles.push_back(a);
-  if (repeats > 0) speed(angles, repeats, folder);
+  if (repeats > 0) {
+    speed(angles, repeats, folder);
+    bench::lens_speed(repeats);
+    bench::geometry_speed(session, smoke);
+  }
   if (seeds > 0) centroids(seeds, smoke ? "chrome m = 0.003" : only);
   return 0;
 } catch (const std::exception& e) {
