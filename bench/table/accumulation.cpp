@@ -137,7 +137,7 @@ void accumulation(const std::filesystem::path& source, bool smoke) {
     fmt::print("table from the sums: {:.2f} s; peak memory of the process until here {:.0f} MB\n", seconds() - begin, peak_mb());
   }
   const double gb = copy_gb_per_s();
-  fmt::print("copying memory: {:.1f} GB/s, at which reading a pixel (64 + 9 bytes) and updating a cell (48 twice) would take {:.1f} ns\n", gb, 169 / gb);
+  fmt::print("copying memory: {:.1f} GB/s, at which reading a pixel (44 + 9 bytes) and updating a cell (48 twice) would take {:.1f} ns\n", gb, 149 / gb);
 
   // The same views, a few of them, by the plain loop.
   sampler = std::make_unique<calib::Sampler>(calibration, rig.mask, rig.sensor.layout, calib::SampleOptions{});
