@@ -9,7 +9,7 @@ set(may_include_libacquire libbrdf libacquire)
 set(may_include_libcalib libbrdf libacquire libcalib)
 set(may_include_libfit libbrdf libfit)
 # libcalib works on what a session is, never on devices.
-set(libacquire_headers_for_libcalib frame.h lens_file.h rig_description.h rig_geometry.h session.h)
+set(libacquire_headers_for_libcalib frame.h lens_file.h lens_residuals.h rig_description.h rig_geometry.h session.h)
 set(forbidden_third_party_libbrdf "^(ceres|opencv2)/")
 set(forbidden_third_party_libacquire "^ceres/")
 set(forbidden_third_party_libcalib "^ceres/")
