@@ -2,6 +2,7 @@
 
 #include "libacquire/open_rig.h"
 #include "libacquire/session.h"
+#include "libbrdf/files.h"
 #include "libcalib/merge_session.h"
 #include "libcalib/samples.h"
 #include "tools/stopwatch.h"
