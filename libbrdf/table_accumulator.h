@@ -45,28 +45,32 @@ struct alignas(16) CellSums {
     count = (count + s.count) & 0x7fffffffu;
   }
 
-  /// The same for one value, four numbers at a time. `others`: any float, then theta_h to mixed as above, then 0.
-  void add_value(float w, float weighted_value, float its_variance, const float* others) {
+  /// The same for one value, eight numbers at a time. `value`: weight, value and variance as above and anything; `others`: any float, then theta_h
+  /// to mixed as above, then 0.
+  void add_value(const float* value, const float* others) {
     typedef double Double2 __attribute__((vector_size(16)));
+    typedef double Double4 __attribute__((vector_size(32)));
     typedef float Float4 __attribute__((vector_size(16)));
-    typedef std::int32_t Int32x4 __attribute__((vector_size(16)));
+    typedef float Float8 __attribute__((vector_size(32)));
+    typedef std::int32_t Int32x8 __attribute__((vector_size(32)));
     if (bounds) *this = {};
     Double2 sums;
-    Float4 place, spread, more_place, more_spread;
+    Float8 floats, more;  // the last one of `floats` is the count
     std::memcpy(&sums, &weight, sizeof sums);
-    std::memcpy(&place, &variance, sizeof place);
-    std::memcpy(&spread, &along, sizeof spread);
-    std::memcpy(&more_place, others, sizeof more_place);
-    std::memcpy(&more_spread, others + 4, sizeof more_spread);
-    sums += Double2{w, weighted_value};
-    more_place[0] = its_variance;
-    place += more_place;
-    const Int32x4 floats{-1, -1, -1, 0}, counted = (Int32x4)spread + Int32x4{0, 0, 0, 1};
-    spread = (Float4)((Int32x4)spread & floats) + more_spread;
-    const Int32x4 both = (Int32x4)spread | (counted & ~floats);
+    std::memcpy(&floats, &variance, sizeof floats);
+    std::memcpy(&more, others, sizeof more);
+    Float4 own;
+    std::memcpy(&own, value, sizeof own);
+    const float x = value[2];
+    const Int32x8 first{-1}, all_but_count{-1, -1, -1, -1, -1, -1, -1, 0};
+    more = first ? Float8{x, x, x, x, x, x, x, x} : more;
+    const Double4 in_double = __builtin_convertvector(own, Double4);
+    sums += __builtin_shufflevector(in_double, in_double, 0, 1);
+    const Int32x8 counted = (Int32x8)floats + 1;
+    const Float8 added = (Float8)((Int32x8)floats & all_but_count) + more;
+    const Float8 both = __builtin_shufflevector(added, (Float8)counted, 0, 1, 2, 3, 4, 5, 6, 15);
     std::memcpy(&weight, &sums, sizeof sums);
-    std::memcpy(&variance, &place, sizeof place);
-    std::memcpy(&along, &both, sizeof both);
+    std::memcpy(&variance, &both, sizeof both);
   }
 };
 static_assert(sizeof(CellSums) == 48);

@@ -21,6 +21,7 @@
 namespace lacquer::brdf {
 
 typedef double Double4 __attribute__((vector_size(32)));
+typedef std::int64_t Int64x2 __attribute__((vector_size(16)));
 typedef std::int64_t Int64x4 __attribute__((vector_size(32)));
 typedef std::uint64_t UInt64x4 __attribute__((vector_size(32)));
 typedef float Float4 __attribute__((vector_size(16)));
@@ -46,7 +47,10 @@ LACQUER_ALWAYS_INLINE Double4 load_as_double(const float* from) { return __built
 /// `mask`: result of a comparison, all bits of a lane set or none.
 LACQUER_ALWAYS_INLINE Double4 select(Int64x4 mask, Double4 yes, Double4 no) { return mask ? yes : no; }
 LACQUER_ALWAYS_INLINE Float8 select(Int32x8 mask, Float8 yes, Float8 no) { return mask ? yes : no; }
-LACQUER_ALWAYS_INLINE bool any(Int64x4 mask) { return ((mask[0] | mask[1]) | (mask[2] | mask[3])) != 0; }
+LACQUER_ALWAYS_INLINE bool any(Int64x4 mask) {
+  const Int64x2 halves = __builtin_shufflevector(mask, mask, 0, 1) | __builtin_shufflevector(mask, mask, 2, 3);
+  return (halves[0] | halves[1]) != 0;
+}
 LACQUER_ALWAYS_INLINE Double4 absolute(Double4 x) { return (Double4)((UInt64x4)x & 0x7fffffffffffffffu); }
 LACQUER_ALWAYS_INLINE Double4 minimum(Double4 a, Double4 b) { return a < b ? a : b; }
 LACQUER_ALWAYS_INLINE Double4 maximum(Double4 a, Double4 b) { return a > b ? a : b; }

@@ -7,7 +7,7 @@
 #include <cstring>
 #include <glm/geometric.hpp>
 
-#include "libbrdf/vector_math.h"
+#include "libcalib/sample_kernel_math.h"
 #include "libcalib/samples.h"
 
 namespace lacquer::calib {
@@ -49,14 +49,7 @@ PixelFate Sampler::resolve(const View& view, const SpherePixels& pixels, std::si
 
 namespace {
 
-using brdf::Float8;
-using brdf::Int32x8;
-using brdf::load;
-using brdf::splat;
-using brdf::store;
-using brdf::UInt32x8;
-
-LACQUER_ALWAYS_INLINE bool any(Int32x8 m) { return brdf::any((brdf::Int64x4)m); }
+using namespace kernel;
 constexpr std::uint64_t first_of_two_bytes = std::endian::native == std::endian::little ? 0x0001000100010001u : 0x0100010001000100u;
 
 /// One channel of an image, as far as it becomes samples.
@@ -65,15 +58,19 @@ struct ImageChannel {
   const SpherePixels& pixels;
   std::size_t per_pixel, offset;  // values of the image
   float scale;                    // radiance times this: f_r times the sample's weight
-  std::size_t table_channel;
+};
+
+/// What a sample adds to its cell in one channel, beside PixelSample.
+struct alignas(16) CellValue {
+  float weight, value, variance;  // the value times the weight, the variance times its square
+  std::uint32_t cell;             // bytes from the first one; that of no cell for what is no value
 };
 
 /// The values of a block's samples in one channel.
 struct BlockValues {
-  alignas(32) float value[SampleBlock::size], variance[SampleBlock::size];  // times the weight, times its square
-  std::uint32_t slot[SampleBlock::size];                        // of the cell; no cell's for what is no value
+  alignas(32) CellValue values[SampleBlock::size];
   struct Bound {
-    std::uint32_t place, slot;
+    std::uint32_t place, cell;
   };
   Bound bounds[SampleBlock::size];
   std::size_t n_bounds;
@@ -82,9 +79,12 @@ struct BlockValues {
 
 /// A block of pixels on its way from the threads that compute to those that add, one for each channel.
 struct Block {
+  struct Lit {
+    SampleBlock samples;
+    std::array<BlockValues, 3> channels;  // of a pixel
+  };
   std::size_t first, n;  // pixels
-  SampleBlock samples;
-  std::array<BlockValues, 3> channels;  // of a pixel
+  std::array<Lit, Sampler::views_at_once> views;
 };
 
 /// Eight pixels' values as they stand in the image.
@@ -99,32 +99,64 @@ LACQUER_ALWAYS_INLINE Float8 every_second(const float* v) {
   return __builtin_shufflevector(load<Float8>(v), load<Float8>(v + 8), 0, 2, 4, 6, 8, 10, 12, 14);
 }
 
-LACQUER_ALWAYS_INLINE EightValues eight_values(const ImageChannel& from, const PixelGroup& pixels) {
-  const RadianceImage& image = from.image;
-  const UInt32x8 index = load<UInt32x8>(pixels.index);
-  if (from.per_pixel == 1 && index[0] + 16 <= image.radiance.size() && !any((Int32x8)(index - index[0]) != Int32x8{0, 2, 4, 6, 8, 10, 12, 14})) {
-    std::uint64_t flags[2];
-    std::memcpy(flags, image.flags.data() + index[0], sizeof flags);
-    return {every_second(&image.radiance[index[0]]), every_second(&image.variance[index[0]]), ((flags[0] | flags[1]) & first_of_two_bytes) != 0};
-  }
-  EightValues v;
+/// Of any pixels. Not inlined: mosaics seldom need it.
+[[gnu::noinline]] void gather_values(const ImageChannel& from, const PixelGroup& pixels, EightValues& v) {
   unsigned flags = 0;
   for (std::size_t k = 0; k < SampleBlock::width; ++k) {
     const std::size_t value = pixels.index[k] * from.per_pixel + from.offset;
-    v.radiance[k] = image.radiance[value];
-    v.variance[k] = image.variance[value];
-    flags |= static_cast<unsigned>(image.flags[value]);
+    v.radiance[k] = from.image.radiance[value];
+    v.variance[k] = from.image.variance[value];
+    flags |= static_cast<unsigned>(from.image.flags[value]);
   }
   v.odd = (flags & 1) != 0;
+}
+
+LACQUER_ALWAYS_INLINE EightValues eight_values(const ImageChannel& from, const PixelGroup& pixels) {
+  const RadianceImage& image = from.image;
+  const UInt32x8 index = load<UInt32x8>(pixels.index);
+  EightValues v;
+  if (from.per_pixel == 1 && index[0] + 16 <= image.radiance.size() && !any((Int32x8)(index - index[0]) != Int32x8{0, 2, 4, 6, 8, 10, 12, 14})) {
+    std::uint64_t flags[2];
+    std::memcpy(flags, image.flags.data() + index[0], sizeof flags);
+    v = {every_second(&image.radiance[index[0]]), every_second(&image.variance[index[0]]), ((flags[0] | flags[1]) & first_of_two_bytes) != 0};
+  } else {
+    gather_values(from, pixels, v);
+  }
   return v;
 }
 
-LACQUER_ALWAYS_INLINE void values_body(const SampleBlock& samples, std::size_t first, const ImageChannel& from, BlockValues& to) {
+/// What is clipped or invalid among eight values is no value.
+[[gnu::noinline]] void sort_out(const ImageChannel& from, const PixelGroup& pixels, std::size_t at, std::uint32_t no_cell, BlockValues& to) {
+  for (std::size_t place = at; place < at + SampleBlock::width; ++place) {
+    const PixelFlag flag = from.image.flags[pixels.index[place - at] * from.per_pixel + from.offset];
+    std::uint32_t& cell = to.values[place].cell;
+    if (cell == no_cell || (flag != PixelFlag::clipped && flag != PixelFlag::invalid)) continue;
+    if (flag == PixelFlag::clipped) to.bounds[to.n_bounds++] = {static_cast<std::uint32_t>(place), cell};
+    else ++to.counts.invalid;
+    cell = no_cell;
+  }
+}
+
+LACQUER_ALWAYS_INLINE void store_values(Float8 weight, Float8 value, Float8 variance, UInt32x8 cell, CellValue* to) {
+  const Float8 first_low = low_pairs(weight, value), first_high = high_pairs(weight, value);
+  const Float8 second_low = low_pairs(variance, (Float8)cell), second_high = high_pairs(variance, (Float8)cell);
+  const Float8 rows[4] = {low_fours(first_low, second_low), high_fours(first_low, second_low), low_fours(first_high, second_high),
+                          high_fours(first_high, second_high)};  // 0 and 4, 1 and 5, ...
+  for (int k = 0; k < 2; ++k) {
+    store(to + 2 * k, __builtin_shufflevector(rows[2 * k], rows[2 * k + 1], 0, 1, 2, 3, 8, 9, 10, 11));
+    store(to + 2 * k + 4, __builtin_shufflevector(rows[2 * k], rows[2 * k + 1], 4, 5, 6, 7, 12, 13, 14, 15));
+  }
+}
+
+LACQUER_ALWAYS_INLINE void values_body(const SampleBlock& samples, std::size_t first, const ImageChannel& channel, const brdf::CellSums* cells,
+                                        BlockValues& to) {
+  const ImageChannel from = channel;  // of this function alone: what is written cannot change it
   constexpr std::size_t width = SampleBlock::width, ahead = 10;
-  const std::uint32_t no_slot = brdf::reachable_cells().size();
+  const std::uint32_t no_slot = brdf::reachable_cells().size(), no_cell = no_slot * sizeof(brdf::CellSums);
   to.counts = {};
   to.n_bounds = 0;
   UInt32x8 n_lit{};
+  const Float8 scale = splat(from.scale);
   for (std::size_t g = 0; g < samples.n_groups; ++g) {
     const std::size_t at = g * width;
     const PixelGroup& pixels = from.pixels.group(first + samples.group[g]);
@@ -135,20 +167,17 @@ LACQUER_ALWAYS_INLINE void values_body(const SampleBlock& samples, std::size_t f
       __builtin_prefetch(&from.image.flags[soon]);
     }
     const EightValues v = eight_values(from, pixels);
-    const Float8 factor = splat(from.scale) * load<Float8>(pixels.inverse_transmission);
+    const Float8 factor = scale * load<Float8>(pixels.inverse_transmission);
     const UInt32x8 slot = load<UInt32x8>(samples.slot + at);
-    store(to.value + at, v.radiance * factor);
-    store(to.variance + at, v.variance * (factor * factor));
-    store(to.slot + at, slot);
-    n_lit -= (UInt32x8)(slot != no_slot);
-    if (!v.odd) continue;
-    for (std::size_t place = at; place < at + width; ++place) {
-      const PixelFlag flag = from.image.flags[pixels.index[place - at] * from.per_pixel + from.offset];
-      if (to.slot[place] == no_slot || (flag != PixelFlag::clipped && flag != PixelFlag::invalid)) continue;
-      if (flag == PixelFlag::clipped) to.bounds[to.n_bounds++] = {static_cast<std::uint32_t>(place), to.slot[place]};
-      else ++to.counts.invalid;
-      to.slot[place] = no_slot;
+    store_values(load<Float8>(samples.weight + at), v.radiance * factor, v.variance * (factor * factor), slot * std::uint32_t{sizeof(brdf::CellSums)},
+                 to.values + at);
+    for (std::size_t place = at; place < at + width; ++place) {  // to be added to soon
+      const char* const cell = reinterpret_cast<const char*>(cells) + to.values[place].cell;
+      __builtin_prefetch(cell, 1);
+      __builtin_prefetch(cell + sizeof(brdf::CellSums) - 1, 1);  // a cell may lie in two cache lines
     }
+    n_lit -= (UInt32x8)(slot != no_slot);
+    if (v.odd) sort_out(from, pixels, at, no_cell, to);
   }
   to.counts.clipped = to.n_bounds;
   to.counts.used = 0;
@@ -156,49 +185,47 @@ LACQUER_ALWAYS_INLINE void values_body(const SampleBlock& samples, std::size_t f
   to.counts.used -= to.counts.clipped + to.counts.invalid;
 }
 
-void prefetch(const brdf::CellSums& sums) {
-  __builtin_prefetch(&sums, 1);
-  __builtin_prefetch(&sums.mixed, 1);  // a cell may lie in two cache lines
-}
-
 /// Adds a block's values to their cells, in an order that does not depend on the threads.
 LACQUER_ALWAYS_INLINE void add_body(const SampleBlock& samples, const BlockValues& values, brdf::CellSums* cells) {
   // Neighbours share cells, and adding twice to one cell takes the second time until the first is written: four groups take turns.
-  constexpr std::size_t turns = 4, width = SampleBlock::width, look_ahead = 64;
+  constexpr std::size_t turns = 4, width = SampleBlock::width;
+  const auto at = [&](std::uint32_t cell) { return reinterpret_cast<brdf::CellSums*>(reinterpret_cast<char*>(cells) + cell); };
+  const auto add = [&](std::size_t i) {
+    const CellValue& v = values.values[i];
+    at(v.cell)->add_value(&v.weight, &samples.sample[i].weight);
+  };
   const std::size_t n = samples.n_groups * width;
-  std::size_t fetched = 0;
-  for (std::size_t first = 0; first < n; first += turns * width) {
-    const std::size_t end = std::min(n, first + turns * width);
-    for (const std::size_t soon = std::min(n, end + look_ahead); fetched < soon; ++fetched) prefetch(cells[values.slot[fetched]]);
-    for (std::size_t k = first; k < first + width; ++k)
-      for (std::size_t i = k; i < end; i += width) {
-        const PixelSample& s = samples.sample[i];
-        cells[values.slot[i]].add_value(s.weight, values.value[i], values.variance[i], &s.weight);
-      }
-  }
+  std::size_t first = 0;
+  for (; first + turns * width <= n; first += turns * width)
+    for (std::size_t k = first; k < first + width; ++k) add(k), add(k + width), add(k + 2 * width), add(k + 3 * width);
+  for (std::size_t k = first; k < first + width; ++k)
+    for (std::size_t i = k; i < n; i += width) add(i);
   // A cell's values and bounds may come in any order.
   for (std::size_t b = 0; b < values.n_bounds; ++b) {
-    const auto [i, slot] = values.bounds[b];
+    const auto [i, cell] = values.bounds[b];
     const PixelSample& s = samples.sample[i];
-    cells[slot].add({.weight = s.weight, .value = values.value[i], .variance = values.variance[i], .theta_h = s.theta_h, .theta_d = s.theta_d,
-                     .phi_d = s.phi_d, .along = s.along, .across = s.across, .mixed = s.mixed, .count = 1, .bounds = 1});
+    const CellValue& v = values.values[i];
+    at(cell)->add({.weight = v.weight, .value = v.value, .variance = v.variance, .theta_h = s.theta_h, .theta_d = s.theta_d,
+                   .phi_d = s.phi_d, .along = s.along, .across = s.across, .mixed = s.mixed, .count = 1, .bounds = 1});
   }
 }
 
 // Bytes are the same with and without AVX2.
 #ifdef LACQUER_TARGET_AVX2
-LACQUER_TARGET_AVX2 void values_avx2(const SampleBlock& samples, std::size_t first, const ImageChannel& from, BlockValues& to) {
-  values_body(samples, first, from, to);
+LACQUER_TARGET_AVX2 void values_avx2(const SampleBlock& samples, std::size_t first, const ImageChannel& from, const brdf::CellSums* cells,
+                                     BlockValues& to) {
+  values_body(samples, first, from, cells, to);
 }
 LACQUER_TARGET_AVX2 void add_avx2(const SampleBlock& samples, const BlockValues& values, brdf::CellSums* cells) { add_body(samples, values, cells); }
 const bool has_avx2 = __builtin_cpu_supports("avx2");
 #endif
 
-void read_values(const SampleBlock& samples, std::size_t first, const ImageChannel& from, BlockValues& to) {
+/// `cells`: those that the values will be added to.
+void read_values(const SampleBlock& samples, std::size_t first, const ImageChannel& from, const brdf::CellSums* cells, BlockValues& to) {
 #ifdef LACQUER_TARGET_AVX2
-  if (has_avx2) return values_avx2(samples, first, from, to);
+  if (has_avx2) return values_avx2(samples, first, from, cells, to);
 #endif
-  values_body(samples, first, from, to);
+  values_body(samples, first, from, cells, to);
 }
 
 void add_block(const SampleBlock& samples, const BlockValues& values, brdf::CellSums* cells) {
@@ -210,25 +237,39 @@ void add_block(const SampleBlock& samples, const BlockValues& values, brdf::Cell
 
 }  // namespace
 
-SampleCounts Sampler::accumulate_view(const RadianceImage& image, const Illumination& lighting, brdf::TableAccumulator& accumulator) const {
-  check(image);
-  const View view = view_of(lighting);
-  const KernelView kernel = kernel_view(view);
+SampleCounts Sampler::accumulate_views(std::span<const LitImage> images, brdf::TableAccumulator& accumulator) const {
+  SampleCounts counts;
+  for (std::size_t i = 0; i < images.size(); i += views_at_once)
+    counts += accumulate_together(images.subspan(i, std::min(views_at_once, images.size() - i)), accumulator);
+  return counts;
+}
+
+SampleCounts Sampler::accumulate_together(std::span<const LitImage> images, brdf::TableAccumulator& accumulator) const {
+  struct LitView {
+    const RadianceImage& image;
+    View view;
+    SampleKernel kernel;
+  };
+  std::vector<LitView> views;
+  for (const LitImage& lit : images) {
+    check(*lit.image);
+    const View view = view_of(lit.lighting);
+    views.push_back({*lit.image, view, SampleKernel(kernel_view(view))});
+  }
   const auto per_pixel = static_cast<std::size_t>(acquire::values_per_pixel(layout_));
 
   // Of each channel one thread after the other adds, in the order of the pixels; different channels add at the same time.
   std::array<std::array<SampleCounts, 3>, 3> counts;  // by part of the mosaic and value of the pixel
   tbb::parallel_for(std::size_t{0}, parts_.size(), [&](std::size_t part) {
     const SpherePixels& pixels = parts_[part];
-    std::vector<ImageChannel> channels;
-    for (std::size_t c = 0; c < per_pixel; ++c) {
-      const std::size_t channel = per_pixel > 1 ? c : static_cast<std::size_t>(pixels.channel);
+    const auto channel_of = [&](std::size_t offset) { return per_pixel > 1 ? offset : static_cast<std::size_t>(pixels.channel); };
+    const auto image_channel = [&](const LitView& lit, std::size_t offset) -> ImageChannel {
       // Summed radiance over summed irradiance: w f = radiance * scale, without the irradiance that w is relative to.
-      const auto i = static_cast<int>(channel);
-      const double scale = 1 / (calibration_.dn_per_radiance[i] * view.light.intensity[i] * view.reference);
-      channels.push_back({image, pixels, per_pixel, c, static_cast<float>(scale), channel});
-    }
-    constexpr std::size_t in_flight = 4;  // blocks of some 25 KB: they stay in the cache between the steps
+      const auto i = static_cast<int>(channel_of(offset));
+      const double scale = 1 / (calibration_.dn_per_radiance[i] * lit.view.light.intensity[i] * lit.view.reference);
+      return {lit.image, pixels, per_pixel, offset, static_cast<float>(scale)};
+    };
+    constexpr std::size_t in_flight = 4;  // blocks of some 25 KB per view: they stay in the cache between the steps
     std::array<Block, in_flight> blocks;
     std::size_t first = 0, next = 0;
     tbb::filter<void, Block*> chain =
@@ -244,20 +285,27 @@ SampleCounts Sampler::accumulate_view(const RadianceImage& image, const Illumina
           return &block;
         }) &
         tbb::make_filter<Block*, Block*>(tbb::filter_mode::parallel, [&](Block* block) {
-          SampleBlock& samples = block->samples;
-          sample_block(pixels, block->first, block->n, kernel, samples);
-          for (std::size_t d = 0; d < samples.n_doubtful; ++d) {
-            const std::size_t at = samples.doubtful[d], pixel = block->first + samples.group[at / SampleBlock::width] + at % SampleBlock::width;
-            samples.n_blurred += resolve(view, pixels, pixel, samples.sample[at], samples.slot[at]) == PixelFate::blurred;
+          for (std::size_t v = 0; v < views.size(); ++v) {  // all views of the block while its pixels are in the cache
+            SampleBlock& samples = block->views[v].samples;
+            views[v].kernel.sample(pixels, block->first, block->n, v == 0, samples);
+            for (std::size_t d = 0; d < samples.n_doubtful; ++d) {
+              const std::size_t at = samples.doubtful[d], pixel = block->first + samples.group[at / SampleBlock::width] + at % SampleBlock::width;
+              samples.n_blurred += resolve(views[v].view, pixels, pixel, samples.sample[at], samples.slot[at]) == PixelFate::blurred;
+              samples.weight[at] = samples.sample[at].weight;
+            }
+            auto& channels = block->views[v].channels;
+            for (std::size_t c = 0; c < per_pixel; ++c) read_values(samples, block->first, image_channel(views[v], c), accumulator.cells(channel_of(c)), channels[c]);
+            channels[0].counts.blurred = samples.n_blurred * per_pixel;
           }
-          for (const ImageChannel& channel : channels) read_values(samples, block->first, channel, block->channels[channel.offset]);
-          block->channels[0].counts.blurred = samples.n_blurred * per_pixel;
           return block;
         });
-    for (const ImageChannel& channel : channels)
-      chain = chain & tbb::make_filter<Block*, Block*>(tbb::filter_mode::serial_in_order, [&, &found = counts[part][channel.offset]](Block* block) {
-                add_block(block->samples, block->channels[channel.offset], accumulator.cells(channel.table_channel));
-                found += block->channels[channel.offset].counts;
+    for (std::size_t c = 0; c < per_pixel; ++c)
+      chain = chain & tbb::make_filter<Block*, Block*>(tbb::filter_mode::serial_in_order, [&, c](Block* block) {
+                for (std::size_t v = 0; v < views.size(); ++v) {
+                  const auto& [samples, channels] = block->views[v];
+                  add_block(samples, channels[c], accumulator.cells(channel_of(c)));
+                  counts[part][c] += channels[c].counts;
+                }
                 return block;
               });
     tbb::parallel_pipeline(in_flight, chain & tbb::make_filter<Block*, void>(tbb::filter_mode::parallel, [](Block*) {}));
@@ -265,8 +313,8 @@ SampleCounts Sampler::accumulate_view(const RadianceImage& image, const Illumina
   SampleCounts sum;
   for (const auto& part : counts)
     for (const SampleCounts& found : part) sum += found;
-  sum.masked = n_masked_ * per_pixel;
-  sum.grazing = n_pixels() * per_pixel - sum.used - sum.clipped - sum.invalid - sum.blurred;
+  sum.masked = n_masked_ * per_pixel * images.size();
+  sum.grazing = n_pixels() * per_pixel * images.size() - sum.used - sum.clipped - sum.invalid - sum.blurred;
   return sum;
 }
 

@@ -16,20 +16,40 @@ using namespace kernel;
 using Grid = brdf::TableGrid;
 constexpr std::size_t width = SampleBlock::width;
 
+/// Whether light reaches pixels of a cap of the sphere; see SpherePixels::Cap.
+class Terminator {
+ public:
+  explicit Terminator(const KernelView& v)
+      : light_(v.light), distance_(glm::length(v.light)),
+        lowest_(v.distant ? v.min_cosine : v.sphere_radius + v.min_cosine * (distance_ - v.sphere_radius) - 1e-5 * distance_) {}
+  bool in_shadow(const SpherePixels::Cap& cap) const {
+    const double along = glm::dot(cap.axis, light_);
+    return along < distance_ * cap.cos_angle &&
+           along * cap.cos_angle + std::sqrt(std::max(0.0, distance_ * distance_ - along * along)) * cap.sin_angle < lowest_;  // highest n . light
+  }
+
+ private:
+  glm::dvec3 light_;
+  double distance_, lowest_;
+};
+
+}  // namespace
+
 /// What is the same for all pixels of a view, in every lane: the compiler would otherwise spread it again for every group.
-struct Constants {
+struct SampleKernel::Constants {
+  Terminator terminator;
   DoubleVector light, camera, camera_x_light;
   Double4 surface;                     // the light stands at n . light - surface in front of the tangent plane
   Double4 light_distance2, two_radii;  // distance^2 to a point is the first less the second times (n . light)
   Double4 light_dot_camera, camera_surface;
   Float8 off_axis[2][4], along_axis[4];  // the first three times the normal and the fourth: how far off the light's axis in two directions, and along it
   Float8 light_radius, camera_radius, lowest_cosine, safe_cosine, emitter, narrow2, nine_narrow2, inverse_reference, half_exponent;
-  Float8 series_reach, binomial[7];  // of (1 - x)^half_exponent; the first times x
+  Float8 series_reach, binomial[8];  // of (1 - x)^half_exponent; the first times x
   bool distant, has_falloff, has_emitter, surely_ahead = true;
   const brdf::ReachableCells* cells = &brdf::reachable_cells();
   std::uint32_t no_slot = cells->size();
   explicit Constants(const KernelView& v)
-      : light(v.light), camera(v.camera), camera_x_light(glm::cross(v.camera, v.light)),
+      : terminator(v), light(v.light), camera(v.camera), camera_x_light(glm::cross(v.camera, v.light)),
         surface(brdf::splat(v.distant ? 0 : v.sphere_radius)),
         light_distance2(brdf::splat(glm::dot(v.light, v.light) + v.sphere_radius * v.sphere_radius)),
         two_radii(brdf::splat(2 * v.sphere_radius)),
@@ -57,12 +77,16 @@ struct Constants {
     surely_ahead = -glm::dot(v.light, v.axis) > v.sphere_radius;
     series_reach = splat(std::max(v.falloff_exponent / 2, 2.0f));
     double term = 1;
-    for (int k = 0; k < 7; ++k) {
+    for (int k = 0; k < 8; ++k) {
       binomial[k] = splat(static_cast<float>(term));
       term *= -(static_cast<double>(v.falloff_exponent) / 2 - k) / (k + 1);
     }
   }
 };
+
+namespace {
+
+using Constants = SampleKernel::Constants;
 
 /// The pixels of a few groups between the stages below, which are short so that the processor can work on several groups at a time.
 /// Directions are in the camera frame of each pixel: light (light_x, light_y, cos_i), camera (sin_o, 0, cos_o).
@@ -75,11 +99,6 @@ struct Columns {
   alignas(32) std::int32_t lit[size], doubtful[size], blurred[size], row[size], phi_cell[size], slot[size];
 };
 LACQUER_ALWAYS_INLINE Int32x8 load_mask(const std::int32_t* from) { return load<Int32x8>(from); }
-
-LACQUER_ALWAYS_INLINE Float8 low_pairs(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13); }
-LACQUER_ALWAYS_INLINE Float8 high_pairs(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15); }
-LACQUER_ALWAYS_INLINE Float8 low_fours(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13); }
-LACQUER_ALWAYS_INLINE Float8 high_fours(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15); }
 
 /// Lane k of column j becomes member j of sample k.
 LACQUER_ALWAYS_INLINE void store_transposed(const Float8 (&c)[8], PixelSample* to) {
@@ -94,22 +113,21 @@ LACQUER_ALWAYS_INLINE void store_transposed(const Float8 (&c)[8], PixelSample* t
 }
 
 /// (1 - sin^2 of the angle off the light's axis)^(exponent / 2).
-LACQUER_ALWAYS_INLINE Float8 falloff(const PixelGroup& p, const Constants& view, Float8 inverse_light_distance, Int32x8& doubtful) {
+LACQUER_ALWAYS_INLINE Float8 falloff(const PixelGroup& p, const Constants& view, Float8 inverse_light_distance2, Int32x8& doubtful) {
   const Float8 x = __builtin_convertvector(load<Int32x8>(p.normal[0]), Float8), y = __builtin_convertvector(load<Int32x8>(p.normal[1]), Float8),
                z = __builtin_convertvector(load<Int32x8>(p.normal[2]), Float8);
   Float8 sin2 = splat(0.0f);
   for (const auto& a : view.off_axis) {
-    const Float8 off = (a[0] * x + a[1] * y + a[2] * z + a[3]) * inverse_light_distance;
+    const Float8 off = (a[0] * x + a[1] * y) + (a[2] * z + a[3]);
     sin2 += off * off;
   }
+  sin2 *= inverse_light_distance2;
   if (!view.surely_ahead) {
     const auto& a = view.along_axis;
     doubtful |= a[0] * x + a[1] * y + a[2] * z + a[3] < splat(0.0f);
   }
   if (!any(sin2 * view.series_reach > splat(0.2f))) {  // the series' first term left out is below 3e-9
-    Float8 power = view.binomial[6];
-    for (int k = 5; k >= 0; --k) power = power * sin2 + view.binomial[k];
-    return power;
+    return polynomial(sin2, view.binomial);
   }
   doubtful |= sin2 > splat(0.2f);
   return power_of_one_minus(minimum(sin2, splat(0.2f)), view.half_exponent);
@@ -119,9 +137,10 @@ LACQUER_ALWAYS_INLINE Float8 falloff(const PixelGroup& p, const Constants& view,
 LACQUER_ALWAYS_INLINE bool light_pixels(const PixelGroup& p, std::size_t n_pixels, const Constants& view, Columns& c, std::size_t to) {
   const Normal n = load_normal(p);
   const Wide n_dot_light = dot(n, view.light);
-  Float8 cos_i = narrow(n_dot_light - wide(view.surface)), inverse_light_distance = splat(1.0f);
+  Float8 cos_i = narrow(n_dot_light - wide(view.surface)), inverse_light_distance = splat(1.0f), inverse_light_distance2 = splat(1.0f);
   if (!view.distant) {
-    inverse_light_distance = splat(1.0f) / root(narrow(wide(view.light_distance2) - wide(view.two_radii) * n_dot_light));
+    inverse_light_distance2 = splat(1.0f) / narrow(wide(view.light_distance2) - wide(view.two_radii) * n_dot_light);
+    inverse_light_distance = root(inverse_light_distance2);
     cos_i = cos_i * inverse_light_distance;
   }
   Int32x8 lit = cos_i > view.lowest_cosine;
@@ -135,8 +154,8 @@ LACQUER_ALWAYS_INLINE bool light_pixels(const PixelGroup& p, std::size_t n_pixel
   store(c.light_x + to, narrow(wide(view.light_dot_camera) - n_dot_light * n_dot_camera) * scale);
   store(c.light_y + to, narrow(dot(n, view.camera_x_light)) * scale);
   store(c.cos_o + to, narrow(n_dot_camera - wide(view.camera_surface)) * load<Float8>(p.inverse_distance));
-  Float8 weight = cos_i * (inverse_light_distance * inverse_light_distance) * view.inverse_reference;
-  if (view.has_falloff) weight = weight * falloff(p, view, inverse_light_distance, doubtful);
+  Float8 weight = cos_i * (inverse_light_distance2 * view.inverse_reference);
+  if (view.has_falloff) weight = weight * falloff(p, view, inverse_light_distance2, doubtful);
   store(c.weight + to, weight);
   store(c.cos_i + to, cos_i);
   store(c.inverse_light_distance + to, inverse_light_distance);
@@ -232,47 +251,32 @@ LACQUER_ALWAYS_INLINE void footprint(const PixelGroup& p, const Constants& view,
 }
 
 /// Last stage: what CellSums adds up, and where.
-LACQUER_ALWAYS_INLINE void weigh(const Constants& view, Columns& c, std::size_t k, PixelSample* to, std::uint32_t* slot) {
+LACQUER_ALWAYS_INLINE void weigh(const Constants& view, Columns& c, std::size_t k, SampleBlock& block, std::size_t at) {
   const Float8 weight = load<Float8>(c.weight + k), offset_h = load<Float8>(c.offset_h + k), weighted_h = weight * offset_h;
   Float8 along = weight * load<Float8>(c.along + k);
   if (any(load<Float8>(c.theta_h + k) < splat(pi / 9))) {
-    Float8 squared_slope;
-    for (std::size_t i = 0; i < width; ++i) squared_slope[i] = view.cells->squared_slope(c.row[k + i] / Grid::n_theta_d);
-    along += squared_slope * (weighted_h * offset_h);
+    // cos^-4 at the cell's centre, as ReachableCells::squared_slope: Taylor's series, what is left out is below 1e-8.
+    const Float8 centre = load<Float8>(c.centre_h + k), u = centre * centre;
+    const Float8 squared_slope = polynomial(u, {splat(1.0f), splat(2.0f), splat(7.0f / 3), splat(94.0f / 45), splat(502.0f / 315), splat(1.092337f),
+                                                splat(0.693536f), splat(0.44f)});
+    along += select(centre < splat(pi / 9), squared_slope, splat(0.0f)) * (weighted_h * offset_h);
   }
   const Float8 columns[8] = {weight, weighted_h, weight * load<Float8>(c.offset_d + k), weight * load<Float8>(c.offset_p + k),
                              along, weight * load<Float8>(c.across + k), weight * load<Float8>(c.mixed + k), splat(0.0f)};
-  store_transposed(columns, to);
+  store_transposed(columns, block.sample + at);
+  store(block.weight + at, weight);
   const Int32x8 lit = load_mask(c.lit + k), used = lit & ~load_mask(c.doubtful + k) & ~load_mask(c.blurred + k);
-  store(slot, used ? load_mask(c.slot + k) : Int32x8{} + static_cast<std::int32_t>(view.no_slot));
+  store(block.slot + at, used ? load_mask(c.slot + k) : Int32x8{} + static_cast<std::int32_t>(view.no_slot));
 }
-
-/// Whether light reaches pixels of a cap of the sphere; see SpherePixels::Cap.
-class Terminator {
- public:
-  explicit Terminator(const KernelView& v)
-      : light_(v.light), distance_(glm::length(v.light)),
-        lowest_(v.distant ? v.min_cosine : v.sphere_radius + v.min_cosine * (distance_ - v.sphere_radius) - 1e-5 * distance_) {}
-  bool in_shadow(const SpherePixels::Cap& cap) const {
-    const double along = glm::dot(cap.axis, light_);
-    return along < distance_ * cap.cos_angle &&
-           along * cap.cos_angle + std::sqrt(std::max(0.0, distance_ * distance_ - along * along)) * cap.sin_angle < lowest_;  // highest n . light
-  }
-
- private:
-  glm::dvec3 light_;
-  double distance_, lowest_;
-};
 
 LACQUER_ALWAYS_INLINE void prefetch(const PixelGroup& group) {
   const auto* bytes = reinterpret_cast<const char*>(&group);
   for (std::size_t line = 0; line < sizeof(PixelGroup); line += 64) __builtin_prefetch(bytes + line);
 }
 
-LACQUER_ALWAYS_INLINE void block_body(const SpherePixels& all, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block) {
-  const Constants constants(view);
+LACQUER_ALWAYS_INLINE void block_body(const SpherePixels& all, std::size_t begin, std::size_t n, const Constants& constants, bool fetch, SampleBlock& block) {
   const PixelGroup* pixels = &all.group(begin);
-  const Terminator terminator(view);
+  const Terminator& terminator = constants.terminator;
   const SpherePixels::Cap* const caps = &all.caps[begin / Columns::size];
   Columns c;
   block.n_groups = block.n_doubtful = block.n_blurred = 0;
@@ -282,7 +286,7 @@ LACQUER_ALWAYS_INLINE void block_body(const SpherePixels& all, std::size_t begin
     const std::size_t from = cap * Columns::size, first = block.n_groups, end = std::min(n, from + Columns::size);
     const bool skip = std::exchange(dark, cap + 1 == n_caps || terminator.in_shadow(caps[cap + 1]));
     // The next pixels, which the processor does not fetch by itself, a few at a time while these are computed.
-    const PixelGroup* const ahead = dark ? nullptr : &pixels[end / width];
+    const PixelGroup* const ahead = dark || !fetch ? nullptr : &pixels[end / width];
     if (skip) {
       for (std::size_t g = 0; ahead != nullptr && g < Columns::size / width; ++g) prefetch(ahead[g]);
       continue;
@@ -297,7 +301,7 @@ LACQUER_ALWAYS_INLINE void block_body(const SpherePixels& all, std::size_t begin
     }
     for (std::size_t k = 0; k < m; k += width) cells(c, k);
     for (std::size_t k = 0; k < m; k += width) footprint(pixels[group[k / width] / width], constants, c, k);
-    for (std::size_t k = 0; k < m; k += width) weigh(constants, c, k, block.sample + first * width + k, block.slot + first * width + k);
+    for (std::size_t k = 0; k < m; k += width) weigh(constants, c, k, block, first * width + k);
     for (std::size_t k = 0; k < m; k += width) {
       const Int32x8 lit = load_mask(c.lit + k), doubtful = load_mask(c.doubtful + k) & lit;
       if (!any(doubtful | (load_mask(c.blurred + k) & lit))) continue;
@@ -311,13 +315,13 @@ LACQUER_ALWAYS_INLINE void block_body(const SpherePixels& all, std::size_t begin
   }
 }
 
-using BlockLoop = void(const SpherePixels&, std::size_t, std::size_t, const KernelView&, SampleBlock&);
-void block_baseline(const SpherePixels& pixels, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block) {
-  block_body(pixels, begin, n, view, block);
+using BlockLoop = void(const SpherePixels&, std::size_t, std::size_t, const Constants&, bool, SampleBlock&);
+void block_baseline(const SpherePixels& pixels, std::size_t begin, std::size_t n, const Constants& view, bool fetch, SampleBlock& block) {
+  block_body(pixels, begin, n, view, fetch, block);
 }
 #ifdef LACQUER_TARGET_AVX2_FMA
-LACQUER_TARGET_AVX2_FMA void block_avx2_fma(const SpherePixels& pixels, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block) {
-  block_body(pixels, begin, n, view, block);
+LACQUER_TARGET_AVX2_FMA void block_avx2_fma(const SpherePixels& pixels, std::size_t begin, std::size_t n, const Constants& view, bool fetch, SampleBlock& block) {
+  block_body(pixels, begin, n, view, fetch, block);
 }
 #endif
 
@@ -331,8 +335,12 @@ BlockLoop* block_loop = choose_loop(true);
 
 }  // namespace
 
-void sample_block(const SpherePixels& pixels, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block) {
-  block_loop(pixels, begin, n, view, block);
+SampleKernel::SampleKernel(const KernelView& view) : constants_(std::make_unique<const Constants>(view)) {}
+SampleKernel::SampleKernel(SampleKernel&&) noexcept = default;
+SampleKernel::~SampleKernel() = default;
+
+void SampleKernel::sample(const SpherePixels& pixels, std::size_t begin, std::size_t n, bool fetch, SampleBlock& block) const {
+  block_loop(pixels, begin, n, *constants_, fetch, block);
 }
 
 void use_sample_vectors(bool yes) { block_loop = choose_loop(yes); }

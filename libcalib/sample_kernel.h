@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <glm/vec3.hpp>
+#include <memory>
 
 #include "libcalib/sphere_pixels.h"
 
@@ -42,17 +43,28 @@ static_assert(sizeof(PixelSample) == 32);
 struct SampleBlock {
   static constexpr std::size_t width = PixelGroup::width, size = 512;  // pixels
   PixelSample sample[size];
+  alignas(32) float weight[size];  ///< of `sample`, once more
   alignas(32) std::uint32_t slot[size];  ///< of the sample's cell in brdf::reachable_cells(); their number where there is no sample
   std::uint16_t group[size / width];     ///< first pixel of each group, from the block's first
   std::uint16_t doubtful[size];          ///< places in `sample` where float cannot decide; they have no sample yet
   std::size_t n_groups, n_doubtful, n_blurred;
 };
 
-/// Fills `block` for the pixels [begin, begin + n), n <= SampleBlock::size, begin a multiple of it: the equations of Sampler's scalar code in
-/// float, eight pixels at a time. Cells and decisions are those of the scalar code, because what lies so near a cell's edge or another limit
-/// that float cannot decide (some 0.1 %) is left to it; angles are within 1e-6. A processor with AVX2 and FMA gives other
-/// last digits than one without, each the same ones for any number of threads.
-void sample_block(const SpherePixels& pixels, std::size_t begin, std::size_t n, const KernelView& view, SampleBlock& block);
+/// The equations of Sampler's scalar code in float, eight pixels at a time, for one view. Cells and decisions are those of the scalar code, because
+/// what lies so near a cell's edge or another limit that float cannot decide (some 0.1 %) is left to it; angles are within 1e-6. A processor with
+/// AVX2 and FMA gives other last digits than one without, each the same ones for any number of threads.
+class SampleKernel {
+ public:
+  explicit SampleKernel(const KernelView& view);
+  SampleKernel(SampleKernel&&) noexcept;
+  ~SampleKernel();
+  /// Fills `block` for the pixels [begin, begin + n), n <= SampleBlock::size, begin a multiple of it. `fetch`: they are not in the cache yet.
+  void sample(const SpherePixels& pixels, std::size_t begin, std::size_t n, bool fetch, SampleBlock& block) const;
+  struct Constants;
+
+ private:
+  std::unique_ptr<const Constants> constants_;
+};
 
 /// false: the portable loop even where this processor has AVX2 and FMA. For tests.
 void use_sample_vectors(bool yes);

@@ -7,7 +7,8 @@
 #include "libbrdf/vector_math.h"
 #include "libcalib/sphere_pixels.h"
 
-/// Eight pixels side by side: what sample_kernel.cpp calculates with. Include this there only, for the reasons of vector_math.h.
+/// Eight pixels side by side: what sample_kernel.cpp and sample_accumulation.cpp calculate with. Include this there only, for the reasons of
+/// vector_math.h.
 namespace lacquer::calib::kernel {
 
 using brdf::Double4;
@@ -37,6 +38,11 @@ LACQUER_ALWAYS_INLINE Float8 root(Float8 x) {
                 __builtin_sqrtf(x[4]), __builtin_sqrtf(x[5]), __builtin_sqrtf(x[6]), __builtin_sqrtf(x[7])};
 }
 
+LACQUER_ALWAYS_INLINE Float8 low_pairs(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13); }
+LACQUER_ALWAYS_INLINE Float8 high_pairs(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15); }
+LACQUER_ALWAYS_INLINE Float8 low_fours(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13); }
+LACQUER_ALWAYS_INLINE Float8 high_fours(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15); }
+
 /// Eight doubles, for what would cancel in float.
 struct Wide {
   Double4 low, high;
@@ -48,13 +54,13 @@ LACQUER_ALWAYS_INLINE Wide operator*(const Wide& a, const Wide& b) { return {a.l
 LACQUER_ALWAYS_INLINE Float8 narrow(const Wide& x) {
   return __builtin_shufflevector(__builtin_convertvector(x.low, Float4), __builtin_convertvector(x.high, Float4), 0, 1, 2, 3, 4, 5, 6, 7);
 }
-typedef std::int32_t Int32x4 __attribute__((vector_size(16)));
 /// In steps of PixelGroup::normal_step; what it is multiplied by is to be as much smaller.
 struct Normal {
   Wide x, y, z;
 };
 LACQUER_ALWAYS_INLINE Wide load_wide(const std::int32_t* from) {
-  return {__builtin_convertvector(load<Int32x4>(from), Double4), __builtin_convertvector(load<Int32x4>(from + 4), Double4)};
+  const auto four = [](const std::int32_t* i) { return Double4{double(i[0]), double(i[1]), double(i[2]), double(i[3])}; };
+  return {four(from), four(from + 4)};
 }
 LACQUER_ALWAYS_INLINE Normal load_normal(const PixelGroup& p) { return {load_wide(p.normal[0]), load_wide(p.normal[1]), load_wide(p.normal[2])}; }
 struct DoubleVector {
@@ -64,18 +70,18 @@ struct DoubleVector {
 };
 LACQUER_ALWAYS_INLINE Wide dot(const Normal& n, const DoubleVector& v) { return n.x * wide(v.x) + n.y * wide(v.y) + n.z * wide(v.z); }
 
+/// c[0] + c[1] x + ... + c[7] x^7, in few steps that wait for each other.
+LACQUER_ALWAYS_INLINE Float8 polynomial(Float8 x, const Float8 (&c)[8]) {
+  const Float8 x2 = x * x, x4 = x2 * x2;
+  const Float8 low = (c[3] * x + c[2]) * x2 + (c[1] * x + c[0]), high = (c[7] * x + c[6]) * x2 + (c[5] * x + c[4]);
+  return high * x4 + low;
+}
+
 /// Angle of sine `y` and cosine `x`, both >= 0, in [0, pi/2], from the smaller one: the Chebyshev interpolant of asin(z) / z in z^2 (error 1.5e-8).
 LACQUER_ALWAYS_INLINE Float8 angle_of(Float8 y, Float8 x) {
-  const Float8 z = minimum(x, y), u = z * z;
-  Float8 p = splat(0.109964259f);
-  p = p * u - splat(0.0905528898f);
-  p = p * u + splat(0.0758322594f);
-  p = p * u + splat(0.0166412983f);
-  p = p * u + splat(0.046494938f);
-  p = p * u + splat(0.0748801093f);
-  p = p * u + splat(0.166669575f);
-  p = p * u + splat(0.999999989f);
-  const Float8 a = p * z;
+  const Float8 z = minimum(x, y);
+  const Float8 a = z * polynomial(z * z, {splat(0.999999989f), splat(0.166669575f), splat(0.0748801093f), splat(0.046494938f), splat(0.0166412983f),
+                                          splat(0.0758322594f), splat(-0.0905528898f), splat(0.109964259f)});
   return select(y > x, splat(pi / 2) - a, a);
 }
 

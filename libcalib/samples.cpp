@@ -322,15 +322,22 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
   {
     const Sampler sampler(calibration, session.rig.mask, layout, options);  // gives its memory back before the table needs it
     const std::vector<std::size_t> views = session.views_of(acquire::ViewKind::measurement);
-    // The next image is read while one is tabulated, so two are in memory.
-    const auto read = [&](std::size_t i) { return read_radiance(session.radiance_path(session.views[views[i]])); };
-    std::future<RadianceImage> next;
+    // The next images are read while some are tabulated.
+    constexpr std::size_t at_once = Sampler::views_at_once;
+    const auto read = [&](std::size_t first) {
+      std::vector<RadianceImage> images;
+      for (std::size_t i = first; i < std::min(first + at_once, views.size()); ++i) images.push_back(read_radiance(session.radiance_path(session.views[views[i]])));
+      return images;
+    };
+    std::future<std::vector<RadianceImage>> next;
     if (!views.empty()) next = std::async(std::launch::async, read, std::size_t{0});
-    for (std::size_t i = 0; i < views.size(); ++i) {
-      const RadianceImage image = next.get();
-      if (i + 1 < views.size()) next = std::async(std::launch::async, read, i + 1);
-      counts += sampler.accumulate_view(image, illumination_of(session.views[views[i]], calibration), accumulator);
-      if (progress) progress("tabulate", i + 1, views.size());
+    for (std::size_t first = 0; first < views.size(); first += at_once) {
+      const std::vector<RadianceImage> images = next.get();
+      if (first + at_once < views.size()) next = std::async(std::launch::async, read, first + at_once);
+      std::vector<LitImage> lit;
+      for (const RadianceImage& image : images) lit.push_back({&image, illumination_of(session.views[views[first + lit.size()]], calibration)});
+      counts += sampler.accumulate_views(lit, accumulator);
+      if (progress) progress("tabulate", first + images.size(), views.size());
     }
   }
   Tabulation result{accumulator.table(true), counts, {}};

@@ -54,6 +54,11 @@ struct Illumination {
   double turntable_angle = 0;  ///< radians
   double factor = 1;           ///< on the light's intensity: its drift
 };
+/// A view's image and its light.
+struct LitImage {
+  const RadianceImage* image;
+  Illumination lighting;
+};
 /// Of a view of a session, as `calibration` has followed its light.
 Illumination illumination_of(const acquire::ViewRecord& view, const Calibration& calibration);
 
@@ -74,7 +79,13 @@ class Sampler {
 
   /// The same samples straight into a table's cells, many times faster: the cells are those of sample_view, means agree to 1e-6 and do
   /// not depend on the number of threads: whoever computes, each channel's samples are added in the order of the pixels.
-  SampleCounts accumulate_view(const RadianceImage& image, const Illumination& lighting, brdf::TableAccumulator& accumulator) const;
+  SampleCounts accumulate_view(const RadianceImage& image, const Illumination& lighting, brdf::TableAccumulator& accumulator) const {
+    const LitImage lit{&image, lighting};
+    return accumulate_views({&lit, 1}, accumulator);
+  }
+  /// Of several views, `views_at_once` of them while each block of pixels is in the cache. What is added first depends on their order alone.
+  SampleCounts accumulate_views(std::span<const LitImage> views, brdf::TableAccumulator& accumulator) const;
+  static constexpr std::size_t views_at_once = 2;
 
   std::size_t n_pixels() const;  ///< on the sphere, neither masked nor too oblique: what each view is computed for
 
@@ -108,6 +119,7 @@ class Sampler {
   acquire::SurfacePoint point(const SpherePixels& pixels, std::size_t i) const;
   Lit light(const View& view, const SpherePixels& pixels, std::size_t i) const;
   void check(const RadianceImage& image) const;
+  SampleCounts accumulate_together(std::span<const LitImage> views, brdf::TableAccumulator& accumulator) const;
   KernelView kernel_view(const View& view) const;
   PixelFate resolve(const View& view, const SpherePixels& pixels, std::size_t i, PixelSample& sample, std::uint32_t& slot) const;
 
@@ -119,8 +131,8 @@ class Sampler {
   std::vector<SpherePixels> parts_;  ///< of a mosaic one for each colour, the largest first; else a single one
 };
 
-/// Radiance images of a session's measurement views -> half-angle table, two images in memory at a time. Empty cells whose mirror image phi_d -> pi - phi_d
-/// was measured take its value, flagged `symmetric`. Errors{file} from missing radiance images name the file.
+/// Radiance images of a session's measurement views -> half-angle table, the next `views_at_once` images read while as many are tabulated. Empty
+/// cells whose mirror image phi_d -> pi - phi_d was measured take its value, flagged `symmetric`. Errors{file} from missing radiance images name the file.
 struct Tabulation {
   brdf::HalfAngleTable table;  ///< scale_sigma contains what the lights' distance is known to: twice its relative error, in all values alike
   SampleCounts counts;

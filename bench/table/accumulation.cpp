@@ -4,6 +4,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <map>
@@ -34,7 +35,7 @@ double peak_mb() {
 }
 
 /// Values without a paint: what they are does not change the time.
-calib::RadianceImage image_for(const acquire::RigDescription& rig) {
+calib::RadianceImage image_for(const acquire::RigDescription& rig, unsigned seed) {
   calib::RadianceImage image;
   image.width = rig.geometry.camera.width;
   image.height = rig.geometry.camera.height;
@@ -44,7 +45,7 @@ calib::RadianceImage image_for(const acquire::RigDescription& rig) {
   image.radiance.resize(n);
   image.variance.resize(n);
   image.flags.resize(n);
-  std::mt19937 generator(1);
+  std::mt19937 generator(seed);
   std::uniform_real_distribution<float> uniform(100, 1000);
   for (std::size_t i = 0; i < n; ++i) image.radiance[i] = uniform(generator), image.variance[i] = image.radiance[i] / 10;
   return image;
@@ -94,7 +95,10 @@ void accumulation(const std::filesystem::path& source, bool smoke) {
   const acquire::RigDescription rig = acquire::parse_rig(brdf::read_text(file), file);
   const calib::Calibration calibration = calib::calibration_from_rig(rig);
   const std::size_t n_channels = static_cast<std::size_t>(acquire::n_channels(rig.sensor.layout));
-  const calib::RadianceImage image = image_for(rig);
+  // As many images as are tabulated at a time.
+  const std::array images{image_for(rig, 1), image_for(rig, 2)};
+  static_assert(images.size() == calib::Sampler::views_at_once);
+  const calib::RadianceImage& image = images[0];
   double set_up = seconds();
   auto sampler = std::make_unique<calib::Sampler>(calibration, rig.mask, rig.sensor.layout, calib::SampleOptions{});
   set_up = seconds() - set_up;
@@ -103,6 +107,8 @@ void accumulation(const std::filesystem::path& source, bool smoke) {
   for (const auto& view : rig.plan)
     if (view.kind == acquire::ViewKind::measurement) views.push_back({static_cast<std::size_t>(view.light), view.turntable_angle, 1});
   if (smoke) views.resize(3);
+  std::vector<calib::LitImage> lit;
+  for (const auto& view : views) lit.push_back({&images[lit.size() % images.size()], view});
   const std::size_t on_sphere = sampler->n_pixels() * views.size();
   // Several times, because the machine is not always quiet: the fastest counts.
   std::unique_ptr<brdf::TableAccumulator> accumulator;
@@ -116,7 +122,7 @@ void accumulation(const std::filesystem::path& source, bool smoke) {
     Pass p{seconds(), cpu_seconds(), seconds()};
     accumulator = std::make_unique<brdf::TableAccumulator>(n_channels);
     p.empty_table = seconds() - p.empty_table;
-    for (const auto& view : views) p.samples += sampler->accumulate_view(image, view, *accumulator).used;
+    p.samples = sampler->accumulate_views(lit, *accumulator).used;
     p.total = seconds() - p.total;
     p.cpu = cpu_seconds() - p.cpu;
     passes.push_back(p);

@@ -4,6 +4,7 @@
 #include <tbb/global_control.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <map>
 #include <random>
@@ -173,18 +174,28 @@ Calibration pinhole_rig() {
 }
 
 /// Irregular values, some clipped or invalid.
-RadianceImage irregular_image(acquire::PixelLayout layout) {
+RadianceImage irregular_image(acquire::PixelLayout layout, unsigned seed = 5) {
   RadianceImage image = constant_image(layout, 1.0f);
-  std::mt19937 generator(5);
+  std::mt19937 generator(seed);
   std::uniform_real_distribution<float> uniform(1, 10);
   for (std::size_t i = 0; i < image.radiance.size(); ++i) {
     image.radiance[i] = uniform(generator);
     image.variance[i] = 0.1f * uniform(generator);
-    if (i % 11 == 0) image.flags[i] = PixelFlag::clipped;
-    if (i % 13 == 0) image.flags[i] = PixelFlag::invalid;
+    if ((i + seed) % 11 == 0) image.flags[i] = PixelFlag::clipped;
+    if ((i + seed) % 13 == 0) image.flags[i] = PixelFlag::invalid;
   }
   return image;
 }
+
+/// Three views, which are not a multiple of those taken at once.
+struct ThreeViews {
+  std::array<RadianceImage, 3> images;
+  std::array<LitImage, 3> lit;
+  explicit ThreeViews(acquire::PixelLayout layout) : images{irregular_image(layout, 5), irregular_image(layout, 6), irregular_image(layout, 7)} {
+    for (std::size_t v = 0; v < 3; ++v) lit[v] = {&images[v], {.turntable_angle = std::array{0.0, 0.02, 0.4}[v]}};
+  }
+  ThreeViews(const ThreeViews&) = delete;
+};
 
 /// Sums of a plain loop over samples, in double.
 struct PlainSums {
@@ -202,16 +213,18 @@ struct PlainSums {
 
 void expect_fast_equals_plain(const Calibration& calibration, acquire::PixelLayout layout) {
   const Sampler sampler(calibration, {}, layout, {});
-  const RadianceImage image = irregular_image(layout);
+  const ThreeViews views(layout);
   const auto n_channels = static_cast<std::size_t>(acquire::n_channels(layout));
   brdf::TableAccumulator accumulator(n_channels);
-  const SampleCounts fast = sampler.accumulate_view(image, {}, accumulator);
+  const SampleCounts fast = sampler.accumulate_views(views.lit, accumulator);
   const brdf::HalfAngleTable table = accumulator.table(false);
 
   std::vector<std::map<std::size_t, PlainSums>> values(n_channels), bounds(n_channels);
-  const SampleCounts plain = sampler.sample_view(image, {}, [&](std::span<const Sample> samples) {
-    for (const Sample& s : samples) (s.clipped ? bounds : values)[static_cast<std::size_t>(s.channel)][brdf::TableGrid::index(s.coordinates)].add(s);
-  });
+  SampleCounts plain;
+  for (const LitImage& view : views.lit)
+    plain += sampler.sample_view(*view.image, view.lighting, [&](std::span<const Sample> samples) {
+      for (const Sample& s : samples) (s.clipped ? bounds : values)[static_cast<std::size_t>(s.channel)][brdf::TableGrid::index(s.coordinates)].add(s);
+    });
   EXPECT_EQ(fast.used, plain.used);
   EXPECT_EQ(fast.clipped, plain.clipped);
   EXPECT_EQ(fast.invalid, plain.invalid);
@@ -260,11 +273,11 @@ TEST(Samples, SoItDoesWithoutTheProcessorsVectors) {
 
 TEST(Samples, AccumulationGivesTheSameBytesForAnyNumberOfThreads) {
   const Sampler sampler(pinhole_rig(), {}, acquire::PixelLayout::bayer_rggb, {});
-  const RadianceImage image = irregular_image(acquire::PixelLayout::bayer_rggb);
+  const ThreeViews views(acquire::PixelLayout::bayer_rggb);
   const auto table = [&](unsigned threads) {
     tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
     brdf::TableAccumulator accumulator(3);
-    sampler.accumulate_view(image, {}, accumulator);
+    sampler.accumulate_views(views.lit, accumulator);
     return accumulator.table(true);
   };
   const auto one = table(1);
