@@ -36,20 +36,29 @@ struct Calibration {
   static constexpr std::size_t n_grazing = 4, n_rows = 3, n_classes = n_gaps * n_grazing * n_rows;
   double length_scale = 1, mean_abs_log = 0;
   std::array<double, n_grazing - 1> limits{};  // of ln(cos(theta_i) cos(theta_o)), between the classes
-  std::array<double, n_classes> factor;
-  Calibration() { factor.fill(1); }
+  std::array<double, n_classes> factor, own_side_factor;  // the latter of predictions from the hole's own side of the mirror planes alone
+  Calibration() { factor.fill(1), own_side_factor.fill(1); }
   std::size_t class_of(std::size_t gap, int theta_h, double log_cosines) const {
     const auto grazing = static_cast<std::size_t>(std::upper_bound(limits.begin(), limits.end(), log_cosines) - limits.begin());
     return (gap * n_grazing + grazing) * n_rows + static_cast<std::size_t>(theta_h) * n_rows / FoldedChannel::n_h;
   }
 };
 
+/// The part of a pattern on the hole's own side of the mirror planes phi_d = 0 and 90 deg.
+Pattern own_side(const Place& hole, const Pattern& pattern) {
+  Pattern own;
+  for (int k = 0; k < pattern.n; ++k) {
+    const Place& o = pattern.offset[static_cast<std::size_t>(k)];
+    if (hole.p + o.p >= 0 && hole.p + o.p < FoldedChannel::n_p) own.offset[static_cast<std::size_t>(own.n++)] = o;
+  }
+  return own;
+}
+
 struct Trial {
   double own_sigma, error;
   std::size_t gap;
   int theta_h;
   double log_cosines;
-  int phi_d;       ///< of the known cell, folded
   std::array<double, 3> stretch;  ///< distances of its data along theta_h, theta_d, phi_d, relative to those of the hole that it stands for
 };
 
@@ -94,7 +103,9 @@ LaidPattern laid_around(const Kriging& kriging, const Place& donor, const Patter
   return laid;
 }
 
-std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& holes, std::size_t n_trials, double length_scale, const Place& scale) {
+/// `scale`: see laid_around. `own_side_only`: of holes with data beyond a mirror plane, and from those on their own side.
+std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& holes, std::size_t n_trials, double length_scale, const Place& scale,
+                             bool own_side_only) {
   std::mt19937_64 generator(20050901);
   const auto below = [&](int n) { return static_cast<int>(generator() % static_cast<unsigned>(n)); };
   struct Experiment {
@@ -110,6 +121,11 @@ std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& h
     for (int draw = 0; draw < 6 && (draw == 0 || pattern.n < 4 || gap_class(pattern.nearest()) != t % n_gaps); ++draw) {
       hole = holes[generator() % holes.size()];
       pattern = kriging.pattern(hole);
+    }
+    if (own_side_only) {
+      const int n = pattern.n;
+      pattern = own_side(hole, pattern);
+      if (pattern.n == n) continue;
     }
     for (int attempt = 0; attempt < 48 && pattern.n >= 4; ++attempt) {
       const int wide = attempt / 16;  // the donor of the truth: along phi_d first, where the paint changes least
@@ -129,7 +145,7 @@ std::vector<Trial> trials_of(const Kriging& kriging, const std::vector<Place>& h
     const auto p = kriging.predict(donor, pattern, length_scale);
     if (p)
       trials[k] = {std::sqrt(p->variance + kriging.data().variance(i)), std::abs(p->log - kriging.data().log(i) - kriging.data().row_mean(donor.h)),
-                   gap, donor.h, kriging.log_cosines(donor), FoldedChannel::fold(donor.p), pattern.stretch};
+                   gap, donor.h, kriging.log_cosines(donor), pattern.stretch};
   });
   std::erase_if(trials, [](const Trial& t) { return t.own_sigma == 0; });
   return trials;
@@ -140,24 +156,18 @@ std::array<double, Calibration::n_classes> factors_of(const std::vector<Trial>& 
   std::vector<double> all;
   std::array<std::vector<double>, n_gaps> by_gap;
   std::array<std::vector<double>, Calibration::n_classes> ratios;
-  // How a factor changes from place to place is not known within a gap: the largest of three parts of phi_d counts.
-  constexpr std::size_t n_parts = 3;
-  std::array<std::array<std::vector<double>, n_parts>, Calibration::n_classes> parts;
   for (const Trial& t : trials) {
     const double ratio = t.error / (1.96 * t.own_sigma);
     const std::size_t c = classes.class_of(t.gap, t.theta_h, t.log_cosines);
     all.push_back(ratio);
     by_gap[t.gap].push_back(ratio);
     ratios[c].push_back(ratio);
-    parts[c][static_cast<std::size_t>(t.phi_d) * n_parts / FoldedChannel::n_p].push_back(ratio);
   }
   const double overall = percentile_95(all);
   std::array<double, Calibration::n_classes> factors;
   for (std::size_t c = 0; c < Calibration::n_classes; ++c) {
     auto& gap = by_gap[c / (Calibration::n_classes / n_gaps)];
     factors[c] = std::max(1e-3, ratios[c].size() >= enough ? percentile_95(ratios[c]) : gap.size() >= enough ? percentile_95(gap) : overall);
-    for (auto& part : parts[c])
-      if (part.size() >= enough / 2) factors[c] = std::max(factors[c], percentile_95(part));
   }
   return factors;
 }
@@ -166,7 +176,7 @@ Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, s
   Calibration best;
   std::vector<Trial> trials;
   for (const double scale : Kriging::length_scales) {
-    std::vector<Trial> now = trials_of(kriging, holes, n_trials, scale, {1, 1, 1});
+    std::vector<Trial> now = trials_of(kriging, holes, n_trials, scale, {1, 1, 1}, false);
     double sum = 0;
     for (const Trial& t : now) sum += t.error;
     if (now.empty()) continue;
@@ -182,7 +192,9 @@ Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, s
   for (const Trial& t : trials) cosines.push_back(t.log_cosines);
   std::sort(cosines.begin(), cosines.end());
   for (std::size_t c = 1; c < Calibration::n_grazing; ++c) best.limits[c - 1] = cosines[c * cosines.size() / Calibration::n_grazing];
-  best.factor = factors_of(trials, best, enough);
+  best.factor = best.own_side_factor = factors_of(trials, best, enough);
+  if (const auto own = trials_of(kriging, holes, n_trials, best.length_scale, {1, 1, 1}, true); own.size() >= enough)
+    best.own_side_factor = factors_of(own, best, enough);
 
   // Where every other row is missing, no known cell has its data as near as the holes have. What doubling the distance across the rows did to a
   // factor, halving it undoes; it never makes it larger.
@@ -195,7 +207,7 @@ Calibration calibrate(const Kriging& kriging, const std::vector<Place>& holes, s
     if (*median > 1.5) scale[axis] = 4;
   }
   if (scale == std::array<int, 3>{1, 1, 1}) return best;
-  const std::vector<Trial> wider = trials_of(kriging, holes, n_trials, best.length_scale, {scale[0], scale[1], scale[2]});
+  const std::vector<Trial> wider = trials_of(kriging, holes, n_trials, best.length_scale, {scale[0], scale[1], scale[2]}, false);
   if (wider.size() < enough) return best;
   const auto wide = factors_of(wider, best, enough);
   for (std::size_t c = 0; c < Calibration::n_classes; ++c) best.factor[c] *= std::min(1.0, best.factor[c] / wide[c]);
@@ -257,13 +269,27 @@ FillReport fill_channel(TableChannel& t, std::size_t channel, const FillOptions&
   model_sigma = n_compared ? std::sqrt(model_sigma / static_cast<double>(n_compared)) : 0;
 
   std::vector<std::optional<Prediction>> predictions(holes.size());
-  tbb::parallel_for(std::size_t{0}, holes.size(),
-                    [&](std::size_t k) { predictions[k] = kriging.predict(holes[k], kriging.pattern(holes[k]), calibration.length_scale); });
-  const auto fill_cell = [&](std::size_t i, const Place& place, const std::optional<Prediction>& p) {
+  std::vector<double> sigmas(holes.size());
+  tbb::parallel_for(std::size_t{0}, holes.size(), [&](std::size_t k) {
+    const Pattern pattern = kriging.pattern(holes[k]), own = own_side(holes[k], pattern);
+    const auto both = kriging.predict(holes[k], pattern, calibration.length_scale);
+    predictions[k] = both;
+    if (!both) return;
+    const std::size_t c = calibration.class_of(both->gap, holes[k].h, kriging.log_cosines(holes[k]));
+    double variance = std::pow(calibration.factor[c], 2) * both->variance;
+    // Data beyond a mirror plane are those before it once more: interpolating between them takes for granted that the paint is smooth there, but
+    // V grooves shadow with a crease at phi_d = 90 deg. Where the data before it alone contradict that, by more than both are known to, it is not known.
+    if (own.n < pattern.n)
+      if (const auto one = kriging.predict(holes[k], own, calibration.length_scale)) {
+        const double difference = one->log - both->log, expected2 = variance + std::pow(calibration.own_side_factor[c], 2) * one->variance;
+        if (difference * difference > 1.96 * 1.96 * expected2) variance += difference * difference - expected2;
+      }
+    sigmas[k] = std::sqrt(variance);
+  });
+  const auto fill_cell = [&](std::size_t i, const std::optional<Prediction>& p, double sigma) {
     if (has_value(t.origin[i])) return;  // weak data (no logarithm), or filled before
     const bool clipped = t.origin[i] == CellOrigin::clipped;
-    const double bound = clipped ? t.mean[i] : 0, factor = calibration.factor[calibration.class_of(p ? p->gap : 0, place.h, kriging.log_cosines(place))];
-    const double sigma = p ? factor * std::sqrt(p->variance) : 0;
+    const double bound = clipped ? t.mean[i] : 0;
     if (p && sigma <= options.max_sigma && std::exp(p->log) >= bound) {
       set_cell(t, i, std::exp(p->log), sigma, CellOrigin::filled);
       ++report.n_filled;
@@ -279,8 +305,8 @@ FillReport fill_channel(TableChannel& t, std::size_t channel, const FillOptions&
   };
   for (std::size_t k = 0; k < holes.size(); ++k) {
     const std::size_t i = TableGrid::index(TableGrid::Cell{holes[k].h, holes[k].d, holes[k].p});
-    fill_cell(i, holes[k], predictions[k]);
-    fill_cell(TableGrid::mirror(i), holes[k], predictions[k]);
+    fill_cell(i, predictions[k], sigmas[k]);
+    fill_cell(TableGrid::mirror(i), predictions[k], sigmas[k]);
   }
   for (std::size_t i = 0; i < TableGrid::n_cells; ++i)
     if (t.origin[i] == CellOrigin::empty && t.origin[TableGrid::mirror(i)] == CellOrigin::measured) {
