@@ -33,7 +33,8 @@ struct FillReport {
 /// (theta_h cell, theta_d, phi_d sin(theta_h) sin(theta_d)) and linear drifts in theta_h, theta_d and ln(cos(theta_i) cos(theta_o)), after the mean
 /// of each theta_h row was taken off, which carries the lobes. So values are positive, reciprocal, mirror symmetric (phi_d and pi - phi_d are
 /// one cell for the filling) and smooth away from the peak. Length scale and variance come from cross-validation: the pattern of data around
-/// a hole is laid around cells near by that are known. Deterministic.
+/// a hole is laid around cells near by that are known. Where data beyond a mirror plane (phi_d = 0 or 90 deg) were used and those on the hole's own side
+/// contradict the result, the variance holds their difference. Deterministic.
 std::vector<FillReport> fill_holes(HalfAngleTable& table, const FillOptions& options = {}, const Progress& progress = {});
 
 }  // namespace lacquer::brdf
