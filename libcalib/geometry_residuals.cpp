@@ -82,10 +82,12 @@ glm::dvec2 GeometryResiduals::highlight_residual(const acquire::RigGeometry& g, 
   return {d.x / l, (d.y - m * d.x / l) / n};
 }
 
-void GeometryResiduals::evidence_residuals(const std::vector<double>& x, std::vector<double>& out) const {
+void GeometryResiduals::evidence_residuals(const acquire::RigGeometry& g, const std::vector<double>& x, std::vector<double>& out) const {
+  if (evidence_.rows.empty()) return;
+  const std::vector<double> v = unknowns_.visible(g, x);
   for (std::size_t k = 0; k < evidence_.rows.size(); ++k) {
     double sum = -evidence_.offset[k];
-    for (std::size_t i = 0; i < x.size(); ++i) sum += evidence_.rows[k][i] * x[i];
+    for (std::size_t i = 0; i < v.size(); ++i) sum += evidence_.rows[k][i] * v[i];
     out.push_back(sum);
   }
 }
@@ -101,7 +103,7 @@ std::vector<double> GeometryResiduals::at(const std::vector<double>& x) const {
     r.push_back(white.x);
     r.push_back(white.y);
   }
-  evidence_residuals(x, r);
+  evidence_residuals(g, x, r);
   unknowns_.prior_residuals(x, r);
   return r;
 }
@@ -131,7 +133,13 @@ std::vector<std::vector<double>> GeometryResiduals::derivatives(const std::vecto
       column[edges_.size() + 2 * i] = d.x;
       column[edges_.size() + 2 * i + 1] = d.y;
     }
-    for (const std::vector<double>& row : evidence_.rows) column.push_back(row[k]);
+    const glm::dvec3 moved = (g.lights[*light].position - h.lights[*light].position) / (2 * step);
+    for (const std::vector<double>& row : evidence_.rows) {
+      double sum = 0;
+      for (std::size_t c = 0; c < 3; ++c)
+        sum += row[unknowns_.first_of(*light) + c] * moved[static_cast<int>(c)] / unknowns_.parameters()[unknowns_.first_of(*light) + c].prior_sigma;
+      column.push_back(sum);
+    }
     unknowns_.prior_residuals(up, prior_up);
     unknowns_.prior_residuals(down, prior_down);
     for (std::size_t i = 0; i < prior_up.size(); ++i) column.push_back((prior_up[i] - prior_down[i]) / (2 * step));

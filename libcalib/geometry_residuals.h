@@ -54,7 +54,7 @@ class GeometryResiduals {
 
  private:
   double edge_residual(const acquire::RigGeometry& g, const std::vector<double>& x, std::size_t i) const;
-  void evidence_residuals(const std::vector<double>& x, std::vector<double>& out) const;
+  void evidence_residuals(const acquire::RigGeometry& g, const std::vector<double>& x, std::vector<double>& out) const;
   glm::dvec2 highlight_residual(const acquire::RigGeometry& g, double scale, std::size_t i) const;
 
   const GeometryUnknowns& unknowns_;

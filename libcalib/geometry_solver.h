@@ -29,7 +29,7 @@ struct Highlight {
   double xx = 1, xy = 0, yy = 1;  ///< covariance, pixels^2
 };
 
-/// What else is known of the unknowns (GeometryUnknowns' x), as residuals that are linear in them: rows[k] . x - offset[k], over sigma.
+/// What else is known of the unknowns, as residuals that are linear in GeometryUnknowns::visible() of them: rows[k] . visible - offset[k], over sigma.
 struct GeometryEvidence {
   struct View {
     std::size_t light = 0;

@@ -98,6 +98,28 @@ acquire::RigGeometry GeometryUnknowns::geometry(const std::vector<double>& x) co
   return g;
 }
 
+std::vector<double> GeometryUnknowns::visible(const acquire::RigGeometry& g, const std::vector<double>& x) const {
+  std::vector<double> v = x;
+  if (has_lights()) v[first_axis_ + 4] = 0;
+  for (std::size_t i = 0; i < first_light_.size(); ++i)
+    for (std::size_t k = 0; k < 3 && seen_[i]; ++k) v[first_light_[i] + k] = (g.lights[i].position - nominal_.lights[i].position)[static_cast<int>(k)] / parameters_[first_light_[i] + k].prior_sigma;
+  return v;
+}
+
+acquire::RigGeometry GeometryUnknowns::with_visible_moved(const std::vector<double>& x, std::size_t k, double step) const {
+  acquire::RigGeometry g = geometry(x);
+  if (const auto light = light_of(k)) {
+    g.lights[*light].position[static_cast<int>(k - first_light_[*light])] += step * parameters_[k].prior_sigma;
+    return g;
+  }
+  std::vector<double> moved = x;
+  moved[k] += step;
+  std::vector<acquire::Light> held = std::move(g.lights);
+  g = geometry(moved);
+  g.lights = std::move(held);
+  return g;
+}
+
 void GeometryUnknowns::prior_residuals(const std::vector<double>& x, std::vector<double>& out) const {
   std::size_t n_plain = first_light_.empty() ? size() : first_light_.front();
   std::vector<double> white = x;

@@ -23,11 +23,19 @@ class GeometryUnknowns {
   std::size_t size() const { return parameters_.size(); }
   /// The light that unknown `k` moves, if it moves that one only.
   std::optional<std::size_t> light_of(std::size_t k) const;
+  std::size_t first_of(std::size_t light) const { return first_light_[light]; }  ///< of the three unknowns of a light that is seen
 
   /// Of an edge point on the side `out` of the silhouette (unit vector in the image), pixels outwards.
   double edge_offset(const std::vector<double>& x, const glm::dvec2& out) const { return value(x, 3) + value(x, 4) * out.x + value(x, 5) * out.y; }
   double turntable_scale(const std::vector<double>& x) const { return has_lights() ? 1 + value(x, first_axis_ + 5) : 1; }
   acquire::RigGeometry geometry(const std::vector<double>& x) const;
+
+  /// What images can see of `x`, whose geometry is `g`: as x, but the lights' places are those with the zero angle in them (rig frame, minus
+  /// the rig file's, over the priors' sigmas) and the zero angle is 0. A light turns the same by the zero angle as by its own place; in these coordinates that
+  /// stays exact wherever something linear in them was linearised.
+  std::vector<double> visible(const acquire::RigGeometry& g, const std::vector<double>& x) const;
+  /// The geometry of `x` with coordinate `k` of visible() moved by `step` and the others held.
+  acquire::RigGeometry with_visible_moved(const std::vector<double>& x, std::size_t k, double step) const;
 
   /// Unknowns that are intrinsics of the camera: the first of them, and how many.
   std::size_t first_lens() const { return first_lens_; }

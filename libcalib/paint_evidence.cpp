@@ -27,7 +27,7 @@ class Evidence {
  public:
   Evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns, const std::vector<double>& x,
            const PaintOptions& options)
-      : lens_(unknowns, x), moved_(through(lens_, samples)), samples_(lens_.known() ? samples : moved_), views_(views), options_(options), geometry_(unknowns.geometry(x)), x_(x), n_unknowns_(x.size()),
+      : lens_(unknowns, x), moved_(through(lens_, samples)), samples_(lens_.known() ? samples : moved_), views_(views), options_(options), geometry_(unknowns.geometry(x)), visible_(unknowns.visible(geometry_, x)), n_unknowns_(x.size()),
         sphere_{glm::transpose(geometry_.cam_from_rig.rotation), geometry_.cam_from_rig.translation, geometry_.sphere_radius},
         scenes_(scenes_of(geometry_, unknowns.turntable_scale(x), views)), nuisances_(geometry_, views, options),
         spline_(options.lowest_theta_h, highest_theta_h, highest_theta_d), weight_(samples.size()), residual_(samples.size()), bend_(samples.size()), by_blur_(samples.size()), log_radiance_(samples.size()), seen_(samples.size()), slope_(samples.size()), coefficients_(PaintSpline::size) {
@@ -45,7 +45,7 @@ class Evidence {
       std::vector<double> up = x, down = x;
       up[k] += step;
       down[k] -= step;
-      const acquire::RigGeometry a = unknowns.geometry(up), b = unknowns.geometry(down);
+      const acquire::RigGeometry a = unknowns.with_visible_moved(x, k, step), b = unknowns.with_visible_moved(x, k, -step);
       const std::vector<PaintScene> s = scenes_of(a, unknowns.turntable_scale(up), views), t = scenes_of(b, unknowns.turntable_scale(down), views);
       sphere_motion_.push_back((a.cam_from_rig.translation - b.cam_from_rig.translation) / (2 * step));
       motion_.emplace_back();
@@ -392,7 +392,7 @@ class Evidence {
       for (std::size_t i = 0; i < n; ++i) {
         const double v = vectors.at<double>(k, static_cast<int>(i));
         row[i] = root * v;
-        offset += v * remaining[i] / root + row[i] * x_[i];
+        offset += v * remaining[i] / root + row[i] * visible_[i];
       }
       e.geometry.rows.push_back(std::move(row));
       e.geometry.offset.push_back(offset);
@@ -409,7 +409,7 @@ class Evidence {
   const std::vector<PaintView>& views_;
   PaintOptions options_;
   acquire::RigGeometry geometry_;
-  std::vector<double> x_;
+  std::vector<double> visible_;
   std::size_t n_unknowns_, n_used_ = 0;
   PaintSphere sphere_;
   std::vector<PaintScene> scenes_;
