@@ -55,7 +55,8 @@ TEST(GeometrySolver, CeresFindsTheSameMinimum) {
   evidence.rows.assign(1, std::vector<double>(unknowns.size()));
   evidence.rows[0][6] = 300;
   evidence.rows[0][12] = -200;
-  evidence.offset = {5};
+  const double tilt = std::atan2(truth.axis_direction.z, truth.axis_direction.y), x = truth.lights[0].position.x - nominal.lights[0].position.x;
+  evidence.offset = {300 * tilt / unknowns.parameters()[6].prior_sigma - 200 * x / unknowns.parameters()[12].prior_sigma + 2};
 
   const GeometryEstimate ours = solve_geometry(nominal, edges, highlights, {}, evidence);
   ASSERT_TRUE(ours.converged);
