@@ -7,7 +7,6 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
-#include <opencv2/core.hpp>
 #include <optional>
 
 #include "libbrdf/error.h"
@@ -15,7 +14,6 @@
 #include "libcalib/paint_lens.h"
 #include "libcalib/paint_scene.h"
 #include "libcalib/paint_spline.h"
-#include "libcalib/response_algebra.h"
 
 namespace lacquer::calib {
 
@@ -65,7 +63,12 @@ class Evidence {
     }
     e.n_samples = n_used_;
     e.scatter = scatter_;
-    eliminate(e);
+    const PaintElimination rest = joint();
+    e.view_sigma = rest.view_sigma();
+    std::vector<double> sigmas;
+    for (const PaintNuisances::Column& c : nuisances_.columns) sigmas.push_back(c.sigma);
+    add_rows(rest, scatter_of_tiles(rest), sigmas, visible_, e.geometry);
+    for (const PaintView& v : views_) e.geometry.views.push_back({v.light, v.turntable_angle});
     return e;
   }
 
@@ -225,6 +228,11 @@ class Evidence {
     return scene.falloff * seen_[i].wi / glm::dot(seen_[i].wi, scene.axis);
   }
 
+  double angle_slope(std::size_t i) const {
+    const PaintMotion& turn = turn_[samples_[i].view];
+    return glm::dot(slope_[i].by_light, turn.light) + glm::dot(axis_slope(i), turn.axis);
+  }
+
   /// Derivatives of ln(radiance) by all columns, at a sample.
   void derivatives(std::size_t i, std::vector<double>& d) const {
     const PaintSample& sample = samples_[i];
@@ -265,7 +273,7 @@ class Evidence {
         if (!(weight_[i] > 0)) continue;
         slope_[i] = slope_at(i);
         derivatives(i, d);
-        sums[p].add(spline_.at(seen_[i].coordinates), d, samples_[i].view, weight_[i], residual_[i]);
+        sums[p].add(spline_.at(seen_[i].coordinates), d, samples_[i].view, angle_slope(i), weight_[i], residual_[i]);
       }
     });
     for (std::size_t p = 1; p < n_pieces; ++p) {
@@ -274,11 +282,11 @@ class Evidence {
     }
     std::vector<double> priors(n_unknowns_, 1.0);
     for (const PaintNuisances::Column& c : nuisances_.columns) priors.push_back(c.sigma);
-    return PaintElimination(std::move(sums[0]), smoothness, priors);
+    return PaintElimination(std::move(sums[0]), smoothness, priors, options_.angle_rad);
   }
 
   /// Covariance of the gradient: sum over tiles of the views of s s', s the tile's sum of w r d with what paint and view take of both; and
-  /// what the view's own factor and a wrong angle add, which all tiles of a view share.
+  /// what the views' own factors and angles leave, which all tiles of a view share.
   SymmetricMatrix scatter_of_tiles(const PaintElimination& rest) const {
     const std::size_t n = n_columns(), n_tiles = views_.size() * paint_tiles_across * paint_tiles_across;
     std::vector<Columns> scores(n_pieces), turns(n_pieces), factors(n_pieces);
@@ -291,11 +299,9 @@ class Evidence {
         if (!(weight_[i] > 0)) continue;
         const std::size_t view = samples_[i].view;
         derivatives(i, d);
-        const double r = rest.project(spline_.at(seen_[i].coordinates), view, residual_[i], d);
+        const double by_angle = angle_slope(i), r = rest.project(spline_.at(seen_[i].coordinates), view, by_angle, residual_[i], d);
         std::vector<double>& score = scores[p][view * paint_tiles_across * paint_tiles_across + samples_[i].tile];
         if (score.empty()) score.assign(n, 0.0);
-        const PaintMotion& turn = turn_[view];
-        const double by_angle = glm::dot(slope_[i].by_light, turn.light) + glm::dot(axis_slope(i), turn.axis);
         for (std::size_t c = 0; c < n; ++c) {
           score[c] += weight_[i] * r * d[c];
           turns[p][view][c] += weight_[i] * by_angle * d[c];
@@ -332,74 +338,6 @@ class Evidence {
     return m;
   }
 
-  void eliminate(PaintEvidence& e) {
-    const PaintElimination rest = joint();
-    const std::size_t n = n_columns();
-    const SymmetricMatrix& s = rest.information();
-    const std::vector<double>& g = rest.gradient();
-    const SymmetricMatrix m = scatter_of_tiles(rest);
-    e.view_sigma = rest.view_sigma();
-
-    // Information that the scatter supports: S M^-1 S, and the gradient with it; then without the nuisances.
-    Columns m_s(n);
-    for (std::size_t k = 0; k < n; ++k) {
-      std::vector<double> column(n);
-      for (std::size_t r = 0; r < n; ++r) column[r] = s(r, k);
-      m_s[k] = solve(m, std::move(column));
-    }
-    SymmetricMatrix full(n);
-    std::vector<double> gradient(n);
-    for (std::size_t r = 0; r < n; ++r) {
-      for (std::size_t c = 0; c <= r; ++c)
-        for (std::size_t k = 0; k < n; ++k) full.at(r, c) += m_s[r][k] * s(k, c);
-      for (std::size_t k = 0; k < n; ++k) gradient[r] += m_s[r][k] * g[k];
-    }
-    marginalise(full, gradient, e);
-  }
-
-  void marginalise(const SymmetricMatrix& full, const std::vector<double>& gradient, PaintEvidence& e) const {
-    const std::size_t n = n_unknowns_, m = nuisances_.columns.size();
-    SymmetricMatrix own(m);
-    std::vector<double> own_gradient(m);
-    for (std::size_t r = 0; r < m; ++r) {
-      for (std::size_t c = 0; c <= r; ++c) own.at(r, c) = full(n + r, n + c);
-      own.at(r, r) += 1 / std::pow(nuisances_.columns[r].sigma, 2);
-      own_gradient[r] = gradient[n + r];
-    }
-    const std::vector<double> own_step = solve(own, own_gradient);
-    cv::Mat information(static_cast<int>(n), static_cast<int>(n), CV_64F);
-    std::vector<double> remaining(n);
-    for (std::size_t r = 0; r < n; ++r) {
-      std::vector<double> row(m);
-      for (std::size_t k = 0; k < m; ++k) row[k] = full(n + k, r);
-      const std::vector<double> w = solve(own, row);
-      for (std::size_t c = 0; c <= r; ++c) {
-        double sum = full(r, c);
-        for (std::size_t k = 0; k < m; ++k) sum -= w[k] * full(n + k, c);
-        information.at<double>(static_cast<int>(r), static_cast<int>(c)) = information.at<double>(static_cast<int>(c), static_cast<int>(r)) = sum;
-      }
-      remaining[r] = gradient[r];
-      for (std::size_t k = 0; k < m; ++k) remaining[r] -= row[k] * own_step[k];
-    }
-    cv::Mat values, vectors;
-    cv::eigen(information, values, vectors);
-    for (int k = 0; k < static_cast<int>(n); ++k) {
-      const double root = std::sqrt(std::max(0.0, values.at<double>(k)));
-      constexpr double nothing = 1e-3;  // of the prior's information: 1e-6
-      if (!(root > nothing)) continue;
-      std::vector<double> row(n);
-      double offset = 0;
-      for (std::size_t i = 0; i < n; ++i) {
-        const double v = vectors.at<double>(k, static_cast<int>(i));
-        row[i] = root * v;
-        offset += v * remaining[i] / root + row[i] * visible_[i];
-      }
-      e.geometry.rows.push_back(std::move(row));
-      e.geometry.offset.push_back(offset);
-    }
-    for (const PaintView& v : views_) e.geometry.views.push_back({v.light, v.turntable_angle});
-  }
-
   static constexpr std::size_t n_pieces = 8;
   static constexpr double smoothness = 4;  // second differences of ln f of 0.5 and more are not expected
 
@@ -432,6 +370,9 @@ void PaintOptions::validate() const {
   if (!(min_cosine > 0 && min_cosine < 1)) throw Error(ErrorCode::usage, "min_cosine: expected a number in (0, 1)");
   for (const double s : {aim_rad, falloff, vignetting, light_scale})
     if (!(s > 0 && std::isfinite(s))) throw Error(ErrorCode::usage, "priors of the light's pattern: expected numbers > 0");
+  for (const double s : {blur, blur_sigma, glare, angle_rad})
+    if (!(s >= 0 && std::isfinite(s))) throw Error(ErrorCode::usage, "blur, stray light and scatter of angles: expected numbers >= 0");
+  if (!(glare_sigma > 0 && std::isfinite(glare_sigma))) throw Error(ErrorCode::usage, "glare_sigma: expected a number > 0");
 }
 
 PaintEvidence paint_evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns,

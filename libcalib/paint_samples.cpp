@@ -56,7 +56,9 @@ void add_paint_samples(const RadianceImage& image, const Calibration& calibratio
   const bool colour = image.layout != acquire::PixelLayout::mono;
   const double corner2 = std::pow(std::max(g.camera.centre.x + 0.5, g.camera.width - 0.5 - g.camera.centre.x), 2) +
                          std::pow(std::max(g.camera.centre.y + 0.5, g.camera.height - 0.5 - g.camera.centre.y), 2);
-  const double log_mean = std::log(mean_of(image, 0, 0, image.width, image.height));
+  const double mean = mean_of(image, 0, 0, image.width, image.height);
+  if (!(mean > 0)) return;  // no light on it that exceeds the noise
+  const double log_mean = std::log(mean);
   const int block = blocks.block;
   // Another part of the grid in each view.
   const int first = 2 * (static_cast<int>(view) * 7 % std::max(1, blocks.stride / 2));

@@ -41,6 +41,18 @@ std::vector<double> factor(SymmetricMatrix& a) {
   return scale;
 }
 
+/// In place, b becomes the solution: L and scales as factor() leaves them.
+void substitute(const SymmetricMatrix& l, const std::vector<double>& scale, std::vector<double>& b) {
+  const std::size_t n = l.size();
+  for (std::size_t i = 0; i < n; ++i) b[i] = (b[i] * scale[i] - dot(l.row(i), b.data(), i)) / l(i, i);
+  for (std::size_t i = n; i-- > 0;) {
+    const double* const row = l.row(i);
+    b[i] /= row[i];
+    for (std::size_t j = 0; j < i; ++j) b[j] -= row[j] * b[i];
+  }
+  for (std::size_t i = 0; i < n; ++i) b[i] *= scale[i];
+}
+
 /// L^-1 diag(scale), lower triangle.
 SymmetricMatrix inverse_factor(const SymmetricMatrix& l, const std::vector<double>& scale) {
   const std::size_t n = l.size();
@@ -75,14 +87,14 @@ double SymmetricMatrix::quadratic_form(std::size_t first, const std::vector<doub
 }
 
 std::vector<double> solve(SymmetricMatrix a, std::vector<double> b) {
-  const std::size_t n = a.size();
   const std::vector<double> scale = factor(a);
-  for (std::size_t i = 0; i < n; ++i) b[i] = (b[i] * scale[i] - dot(a.row(i), b.data(), i)) / a(i, i);
-  for (std::size_t i = n; i-- > 0;) {
-    b[i] /= a(i, i);
-    for (std::size_t j = 0; j < i; ++j) b[j] -= a(i, j) * b[i];
-  }
-  for (std::size_t i = 0; i < n; ++i) b[i] *= scale[i];
+  substitute(a, scale, b);
+  return b;
+}
+
+std::vector<std::vector<double>> solve_columns(SymmetricMatrix a, std::vector<std::vector<double>> b) {
+  const std::vector<double> scale = factor(a);
+  tbb::parallel_for(std::size_t{0}, b.size(), [&](std::size_t k) { substitute(a, scale, b[k]); });
   return b;
 }
 

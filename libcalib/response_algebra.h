@@ -27,6 +27,8 @@ class SymmetricMatrix {
 
 /// x with A x = b. Unknowns that the matrix leaves open (to 1e-13 of their own scale) are 0.
 std::vector<double> solve(SymmetricMatrix a, std::vector<double> b);
+/// The same for several right sides.
+std::vector<std::vector<double>> solve_columns(SymmetricMatrix a, std::vector<std::vector<double>> b);
 
 /// Lower triangle L, row-major, of a row-major n x n covariance = L L^T; a direction without an error gets a column of zeros.
 std::vector<double> cholesky_factor(const std::vector<double>& covariance, std::size_t n);

@@ -253,6 +253,34 @@ TEST(PaintEvidence, ADistantLightIsRefused) {
   EXPECT_THROW(solve_geometry(rig, {}, {}, {}, evidence), Error);
 }
 
+TEST(PaintEvidence, OptionsThatAreNoNumbersAreRefused) {
+  const double nan = std::nan("");
+  for (double PaintOptions::*field : {&PaintOptions::blur, &PaintOptions::blur_sigma, &PaintOptions::glare, &PaintOptions::glare_sigma, &PaintOptions::angle_rad})
+    for (const double value : {nan, -1e-3}) {
+      PaintOptions o;
+      o.*field = value;
+      EXPECT_THROW(o.validate(), Error);
+    }
+}
+
+TEST(PaintEvidence, AnImageDarkerThanItsNoiseGivesNoSamples) {
+  Calibration calibration;
+  calibration.geometry = nominal_rig();
+  const acquire::CameraModel& camera = calibration.geometry.camera;
+  RadianceImage image;
+  image.layout = acquire::PixelLayout::mono;
+  image.width = camera.width;
+  image.height = camera.height;
+  const std::size_t n = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+  image.radiance.assign(n, -1.0F);
+  image.variance.assign(n, 1e-6F);
+  image.flags.assign(n, PixelFlag::valid);
+  std::fill(image.radiance.begin() + static_cast<std::ptrdiff_t>(n / 2), image.radiance.begin() + static_cast<std::ptrdiff_t>(n / 2 + n / 4), 0.5F);
+  std::vector<PaintSample> samples;
+  add_paint_samples(image, calibration, 0, paint_blocks(calibration.geometry, 12), samples);
+  EXPECT_TRUE(samples.empty());
+}
+
 TEST(PaintEvidence, TooFewSamplesSayNothing) {
   const acquire::RigGeometry truth = nominal_rig();
   Photographs p = photographs(truth, *matte_paint(), {.relative = 0.02}, 3);
