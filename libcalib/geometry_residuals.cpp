@@ -77,6 +77,11 @@ glm::dvec2 GeometryResiduals::highlight_residual(const acquire::RigGeometry& g, 
   const Highlight& h = highlights_[i];
   const glm::dvec2 d = miss(g, scale, h), t = track_[i];
   const double f = highlight_factor_ * highlight_factor_, a = angle_sigma_ * angle_sigma_;
+  const double speed = glm::length(t);
+  if (evidence_.has_tracks && speed > 0) {
+    const glm::dvec2 c = glm::dvec2(-t.y, t.x) / speed;
+    return {glm::dot(d, c) / std::sqrt(f * (c.x * c.x * h.xx + 2 * c.x * c.y * h.xy + c.y * c.y * h.yy)), 0.0};
+  }
   const double xx = f * h.xx + a * t.x * t.x, xy = f * h.xy + a * t.x * t.y, yy = f * h.yy + a * t.y * t.y;
   const double l = std::sqrt(xx), m = xy / l, n = std::sqrt(yy - m * m);  // Cholesky factor of the covariance
   return {d.x / l, (d.y - m * d.x / l) / n};

@@ -7,6 +7,7 @@
 #include <glm/geometric.hpp>
 
 #include "libbrdf/error.h"
+#include "libcalib/geometry_residuals.h"
 #include "libcalib/geometry_unknowns.h"
 #include "libcalib/highlight_window.h"
 #include "libcalib/pixel_mask.h"
@@ -184,6 +185,47 @@ class Estimator {
     return sum / static_cast<double>(views_.size());
   }
 
+  /// What the highlights that are no outliers say of their views' angles.
+  std::vector<PaintTrack> tracks(const GeometryUnknowns& unknowns, const std::vector<double>& x) const {
+    std::vector<PaintTrack> found;
+    const GeometryEstimate& e = result_.estimate;
+    if (!(e.angle_sigma_rad > 0)) return found;
+    constexpr double step = 1e-3, turn = 1e-5;
+    const acquire::RigGeometry g = unknowns.geometry(x);
+    const double scale = unknowns.turntable_scale(x);
+    std::vector<std::size_t> at;
+    for (const Highlight& h : result_.highlights) {
+      if (std::any_of(e.outliers.begin(), e.outliers.end(), [&](const auto& o) { return o.view == h.view; })) continue;
+      Highlight turned = h;
+      turned.turntable_angle += turn;
+      const glm::dvec2 miss = GeometryResiduals::miss(g, scale, h), track = (miss - GeometryResiduals::miss(g, scale, turned)) / turn;
+      const double speed2 = glm::dot(track, track);
+      if (!g.lights[h.light].on_arm || !(speed2 > 0) || !std::isfinite(speed2)) continue;
+      PaintTrack t;
+      t.view = static_cast<std::size_t>(std::find_if(views_.begin(), views_.end(), [&](const GeometryView& v) { return v.id == h.view; }) - views_.begin());
+      t.angle = glm::dot(miss, track) / speed2;
+      t.sigma = e.highlight_noise_factor * std::sqrt(track.x * track.x * h.xx + 2 * track.x * track.y * h.xy + track.y * track.y * h.yy) / speed2;
+      t.by.resize(unknowns.size());
+      found.push_back(std::move(t));
+      at.push_back(static_cast<std::size_t>(&h - result_.highlights.data()));
+    }
+    for (std::size_t k = 0; k < unknowns.size(); ++k) {
+      std::vector<double> up = x, down = x;
+      up[k] += step;
+      down[k] -= step;
+      const acquire::RigGeometry a = unknowns.with_visible_moved(x, k, step), b = unknowns.with_visible_moved(x, k, -step);
+      for (std::size_t i = 0; i < found.size(); ++i) {
+        const Highlight& h = result_.highlights[at[i]];
+        Highlight turned = h;
+        turned.turntable_angle += turn;
+        const glm::dvec2 track = (GeometryResiduals::miss(g, scale, h) - GeometryResiduals::miss(g, scale, turned)) / turn;
+        const glm::dvec2 moved = (GeometryResiduals::miss(b, unknowns.turntable_scale(down), h) - GeometryResiduals::miss(a, unknowns.turntable_scale(up), h)) / (2 * step);
+        found[i].by[k] = glm::dot(moved, track) / glm::dot(track, track);
+      }
+    }
+    return found;
+  }
+
   void refine_with_paint() {
     GeometryEvidence evidence;
     std::vector<PaintView> lit;
@@ -211,11 +253,12 @@ class Estimator {
     std::vector<PaintSample> few;
     for (std::size_t i = 0; i < samples_.size() && samples_.size() > part * enough; i += part) few.push_back(samples_[i]);
     bool all = few.empty();
+    double last = 0;  // step with all samples, 0: none yet
     constexpr int max_rounds = 12;
     for (int round = 0, rounds_with_all = 0; round < max_rounds && !samples_.empty(); ++round) {
       const std::vector<double> x = solution(unknowns);
       paint.angle_rad = result_.estimate.angle_sigma_rad;
-      const PaintEvidence found = paint_evidence(all ? samples_ : few, lit, unknowns, x, paint);
+      const PaintEvidence found = paint_evidence(all ? samples_ : few, lit, unknowns, x, paint, tracks(unknowns, x));
       rounds_with_all += all;
       if (found.n_samples == 0) {
         if (all) return;
@@ -232,8 +275,10 @@ class Estimator {
         largest = std::max(largest, std::abs(now[k] - x[k]) * p.prior_sigma / p.sigma);
       }
       if (progress_) progress_("paint", static_cast<std::size_t>(round) + 1, max_rounds);
-      // Noise is measured by medians, which may keep a last step from dying away.
-      if (all && (largest < 0.1 || (rounds_with_all >= 3 && largest < 1))) break;
+      // Steps shrink by a factor, which says how far the next one would go. Noise is measured by medians, which may keep a last step from dying away.
+      constexpr double negligible = 0.2;  // of a sigma: 2 % of the error
+      if (all && (largest < negligible || (last > 0 && largest * largest / last < negligible) || (rounds_with_all >= 3 && largest < 1))) break;
+      last = all ? largest : 0;
       all = all || largest < 0.5 || round >= max_rounds / 2;
     }
     for (GeometryParameter& q : result_.estimate.uncertainty.parameters)

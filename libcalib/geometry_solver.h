@@ -36,6 +36,7 @@ struct GeometryEvidence {
     double turntable_angle = 0;  ///< radians, read back
   };
   std::vector<View> views;                 ///< it comes from
+  bool has_tracks = false;                 ///< it holds what highlights say along their tracks: their residuals have only what is across
   std::vector<std::vector<double>> rows;
   std::vector<double> offset;
 };

@@ -61,6 +61,17 @@ void PaintSums::add(const PaintSpline::Basis& b, const std::vector<double>& d, s
   view_residual[angle] += w * by_angle * r;
 }
 
+void PaintSums::add_track(const std::vector<double>& d, std::size_t view, double w, double r) {
+  const std::size_t angle = view_weight.size() + view;
+  for (std::size_t c = 0; c < d.size(); ++c) {
+    for (std::size_t e = 0; e <= c; ++e) columns.at(c, e) += w * d[c] * d[e];
+    residual[c] += w * d[c] * r;
+    view_columns[c][angle] += w * d[c];
+  }
+  view_weight[view][2] += w;
+  view_residual[angle] += w * r;
+}
+
 void PaintSums::add(const PaintSums& o) {
   paint.add(o.paint);
   add_to(paint_residual, o.paint_residual);
@@ -177,6 +188,16 @@ double PaintElimination::project(const PaintSpline::Basis& b, std::size_t view, 
     double sum = view_taken_[c][view] + by_angle * view_taken_[c][angle];
     for (std::size_t k = 0; k < PaintSpline::n_met; ++k) sum += b.value[k] * taken_[c][b.index[k]];
     d[c] -= sum;
+    r -= d[c] * step_[c];
+  }
+  return r;
+}
+
+double PaintElimination::project_track(std::size_t view, double residual, std::vector<double>& d) const {
+  const std::size_t angle = n_views_ + view;
+  double r = residual - view_step_[angle];
+  for (std::size_t c = 0; c < d.size(); ++c) {
+    d[c] -= view_taken_[c][angle];
     r -= d[c] * step_[c];
   }
   return r;

@@ -30,6 +30,8 @@ struct PaintSums {
 
   PaintSums(std::size_t n_columns, std::size_t n_views);
   void add(const PaintSpline::Basis& b, const std::vector<double>& d, std::size_t view, double by_angle, double weight, double residual);
+  /// What else says where the turntable stands in a view: residual = d . change of the columns + error of the angle, radians.
+  void add_track(const std::vector<double>& d, std::size_t view, double weight, double residual);
   void add(const PaintSums& other);
 };
 
@@ -46,6 +48,7 @@ class PaintElimination {
 
   /// A sample with paint and view taken out of its columns `d`, all in place; what remains of the residual with all that was found.
   double project(const PaintSpline::Basis& b, std::size_t view, double by_angle, double residual, std::vector<double>& d) const;
+  double project_track(std::size_t view, double residual, std::vector<double>& d) const;
 
  private:
   void find_view_sigma(const SymmetricMatrix& views, const Columns& cross, const std::vector<double>& view_gradient, const std::vector<double>& prior_sigma, double angle_sigma);

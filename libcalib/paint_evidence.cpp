@@ -24,8 +24,8 @@ constexpr double highest_theta_h = 1.25, highest_theta_d = 1.25;
 class Evidence {
  public:
   Evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns, const std::vector<double>& x,
-           const PaintOptions& options)
-      : lens_(unknowns, x), moved_(through(lens_, samples)), samples_(lens_.known() ? samples : moved_), views_(views), options_(options), geometry_(unknowns.geometry(x)), visible_(unknowns.visible(geometry_, x)), n_unknowns_(x.size()),
+           const PaintOptions& options, const std::vector<PaintTrack>& tracks)
+      : tracks_(tracks), lens_(unknowns, x), moved_(through(lens_, samples)), samples_(lens_.known() ? samples : moved_), views_(views), options_(options), geometry_(unknowns.geometry(x)), visible_(unknowns.visible(geometry_, x)), n_unknowns_(x.size()),
         sphere_{glm::transpose(geometry_.cam_from_rig.rotation), geometry_.cam_from_rig.translation, geometry_.sphere_radius},
         scenes_(scenes_of(geometry_, unknowns.turntable_scale(x), views)), nuisances_(geometry_, views, options),
         spline_(options.lowest_theta_h, highest_theta_h, highest_theta_d), weight_(samples.size()), residual_(samples.size()), bend_(samples.size()), by_blur_(samples.size()), log_radiance_(samples.size()), seen_(samples.size()), slope_(samples.size()), coefficients_(PaintSpline::size) {
@@ -58,7 +58,7 @@ class Evidence {
     fit_paint();
     for (int pass = 0; pass < 2; ++pass) {
       weigh();
-      find_bends();
+      if (pass == 0) find_bends();
       fit_paint();
     }
     e.n_samples = n_used_;
@@ -69,6 +69,7 @@ class Evidence {
     for (const PaintNuisances::Column& c : nuisances_.columns) sigmas.push_back(c.sigma);
     add_rows(rest, scatter_of_tiles(rest), sigmas, visible_, e.geometry);
     for (const PaintView& v : views_) e.geometry.views.push_back({v.light, v.turntable_angle});
+    e.geometry.has_tracks = !tracks_.empty();
     return e;
   }
 
@@ -174,7 +175,7 @@ class Evidence {
           }
         const double bend = sum - seen_[i].log_irradiance - paint_at(seen_[i].coordinates);
         by_blur_[i] = all ? bend + 0.5 * glm::dot(slope, slope) : 0;
-        bend_[i] = all ? bend + s.skew * twist + options_.blur * by_blur_[i] : 0;
+        bend_[i] = all ? s.moment * bend + s.skew * twist + options_.blur * by_blur_[i] : 0;
       }
     });
   }
@@ -264,6 +265,12 @@ class Evidence {
     }
   }
 
+  std::vector<double> track_columns(const PaintTrack& t) const {
+    std::vector<double> d = t.by;
+    d.resize(n_columns());
+    return d;
+  }
+
   PaintElimination joint() {
     std::vector<PaintSums> sums;
     for (std::size_t p = 0; p < n_pieces; ++p) sums.emplace_back(n_columns(), views_.size());
@@ -280,6 +287,7 @@ class Evidence {
       sums[0].add(sums[p]);
       sums[p] = PaintSums(0, 0);
     }
+    for (const PaintTrack& t : tracks_) sums[0].add_track(track_columns(t), t.view, 1 / (t.sigma * t.sigma), t.angle);
     std::vector<double> priors(n_unknowns_, 1.0);
     for (const PaintNuisances::Column& c : nuisances_.columns) priors.push_back(c.sigma);
     return PaintElimination(std::move(sums[0]), smoothness, priors, options_.angle_rad);
@@ -328,6 +336,13 @@ class Evidence {
       ++n_filled;
       add_square(scores[0][t], 1);
     }
+    for (const PaintTrack& t : tracks_) {
+      std::vector<double> d = track_columns(t);
+      const double w = 1 / (t.sigma * t.sigma), r = rest.project_track(t.view, t.angle, d);
+      for (std::size_t c = 0; c < n; ++c) turns[0][t.view][c] += w * d[c];
+      for (double& v : d) v *= w * r;
+      add_square(d, 1);
+    }
     m.scale(static_cast<double>(n_filled) / std::max(1.0, static_cast<double>(n_filled) - static_cast<double>(n)));
     for (std::size_t v = 0; v < views_.size(); ++v) {
       add_to_first(turns, v);
@@ -341,6 +356,7 @@ class Evidence {
   static constexpr std::size_t n_pieces = 8;
   static constexpr double smoothness = 4;  // second differences of ln f of 0.5 and more are not expected
 
+  const std::vector<PaintTrack>& tracks_;
   PaintLens lens_;
   std::vector<PaintSample> moved_;  ///< through the lens as it is now, where it is an unknown
   const std::vector<PaintSample>& samples_;
@@ -376,9 +392,9 @@ void PaintOptions::validate() const {
 }
 
 PaintEvidence paint_evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns,
-                             const std::vector<double>& x, const PaintOptions& options) {
+                             const std::vector<double>& x, const PaintOptions& options, const std::vector<PaintTrack>& tracks) {
   options.validate();
-  return Evidence(samples, views, unknowns, x, options).find();
+  return Evidence(samples, views, unknowns, x, options, tracks).find();
 }
 
 }  // namespace lacquer::calib

@@ -18,9 +18,16 @@ struct PaintView {
   double factor = 1;            ///< on the light's intensity: its drift
 };
 
+/// Where a view's highlight has the turntable: the angle that it says minus the one read back, at the geometry of the unknowns.
+struct PaintTrack {
+  std::size_t view = 0;
+  double angle = 0, sigma = 0;  ///< radians; sigma: of the highlight's place alone
+  std::vector<double> by;       ///< what a unit of each of GeometryUnknowns::visible() explains of it
+};
+
 struct PaintOptions {
   double lowest_theta_h = 0.12;  ///< radians: nearer to the peak nothing is used, it is the highlights' matter
-  double min_cosine = 0.45;      ///< of light and camera: beyond it shadowing and masking change too fast for the splines
+  double min_cosine = 0.42;      ///< of light and camera: beyond it shadowing and masking change too fast for the splines
   double aim_rad = 0.0087;       ///< prior of a light's aim, where its intensity falls off the axis
   double falloff = 0.05;         ///< prior of the exponent of that, relative
   double vignetting = 0.005;     ///< prior of what the vignetting in the image's corner is wrong by
@@ -42,8 +49,8 @@ struct PaintEvidence {
 
 /// The paint is a PaintSpline that is fitted and eliminated, with the aim and fall-off of the lights and a rest of vignetting. Samples far
 /// from the fit count less (Cauchy). The information is what the scatter between tiles of the views supports (sandwich), not what the
-/// noise of single pixels would.
+/// noise of single pixels would. A view's paint and its highlight share the error of the turntable's angle: with `tracks` both are in what is found.
 PaintEvidence paint_evidence(const std::vector<PaintSample>& samples, const std::vector<PaintView>& views, const GeometryUnknowns& unknowns,
-                             const std::vector<double>& x, const PaintOptions& options);
+                             const std::vector<double>& x, const PaintOptions& options, const std::vector<PaintTrack>& tracks = {});
 
 }  // namespace lacquer::calib

@@ -12,16 +12,18 @@ namespace lacquer::calib {
 
 constexpr std::uint32_t paint_tiles_across = 8;  ///< of an image
 
-/// Mean of some pixels of a view. Only green values of a mosaic are used: the paint is needed for one colour only.
+/// Weighted mean of a block of pixels of a view: of the logarithms of its values, whatever their colour. A geometric mean of the colours' BRDFs is
+/// as isotropic, reciprocal and smooth as each of them, and lights of different colours differ in it by factors only.
 struct PaintSample {
   std::uint32_t view = 0;
   std::uint32_t tile = 0;      ///< of the image: samples of a tile and view share errors
   glm::dvec3 sight{0, 0, 1};   ///< line of sight in the camera frame, unit
-  std::array<glm::dvec3, 2> spread{};  ///< how far the pixels' lines of sight reach from it: RMS in the image's x, in its y
-  double skew = 0;             ///< correlation of the pixels' x and y: greens of a mosaic lie on diagonals
+  std::array<glm::dvec3, 2> spread{};  ///< how far the lines of sight of a block's pixels reach from it: RMS in the image's x, in its y
+  double moment = 1;           ///< weighted mean square of the pixels' x, and of y, over that of a block's pixels
+  double skew = 0;             ///< the same of x times y: colours of a mosaic lie on diagonals
   double log_radiance = 0;     ///< lens' transmission taken out
   double variance = 0;         ///< of log_radiance
-  double log_mean = 0;         ///< of the radiance of the whole image
+  double log_mean = 0;         ///< of the whole image, colours as in log_radiance
   double corner2 = 0;          ///< squared distance from the principal point, of the image's corner's
 };
 
@@ -45,7 +47,7 @@ class BackgroundShare {
   double whole_ = 0;                ///< and of the images'
 };
 
-/// Means over blocks of pixels, each at the mean place of the values that it has.
+/// Means over blocks of pixels all of whose values are good, each at the block's middle.
 void add_paint_samples(const RadianceImage& image, const Calibration& calibration, std::uint32_t view, const PaintBlocks& blocks, std::vector<PaintSample>& samples);
 
 }  // namespace lacquer::calib

@@ -16,7 +16,7 @@ class PaintSpline {
   /// theta_h in [lowest_theta_h, highest_theta_h], theta_d in [0, highest_theta_d], radians; outside the splines have no meaning.
   PaintSpline(double lowest_theta_h, double highest_theta_h, double highest_theta_d);
 
-  static constexpr std::size_t n_theta_h = 34, n_theta_d = 10, n_phi_d = 6;
+  static constexpr std::size_t n_theta_h = 34, n_theta_d = 12, n_phi_d = 6;
   static constexpr std::size_t size = n_theta_h * n_theta_d * n_phi_d;
   static constexpr std::size_t band = 2 * n_theta_d * n_phi_d + 2 * n_phi_d + 2;  ///< coefficients further apart never meet
   static constexpr std::size_t n_met = 27;
