@@ -7,9 +7,9 @@
 #include <glm/geometric.hpp>
 
 #include "libbrdf/error.h"
-#include "libcalib/geometry_residuals.h"
 #include "libcalib/geometry_unknowns.h"
 #include "libcalib/highlight_window.h"
+#include "libcalib/paint_track.h"
 #include "libcalib/pixel_mask.h"
 
 namespace lacquer::calib {
@@ -185,43 +185,15 @@ class Estimator {
     return sum / static_cast<double>(views_.size());
   }
 
-  /// What the highlights that are no outliers say of their views' angles.
+  /// Of the highlights that are no outliers.
   std::vector<PaintTrack> tracks(const GeometryUnknowns& unknowns, const std::vector<double>& x) const {
     std::vector<PaintTrack> found;
     const GeometryEstimate& e = result_.estimate;
-    if (!(e.angle_sigma_rad > 0)) return found;
-    constexpr double step = 1e-3, turn = 1e-5;
-    const acquire::RigGeometry g = unknowns.geometry(x);
-    const double scale = unknowns.turntable_scale(x);
-    std::vector<std::size_t> at;
-    for (const Highlight& h : result_.highlights) {
-      if (std::any_of(e.outliers.begin(), e.outliers.end(), [&](const auto& o) { return o.view == h.view; })) continue;
-      Highlight turned = h;
-      turned.turntable_angle += turn;
-      const glm::dvec2 miss = GeometryResiduals::miss(g, scale, h), track = (miss - GeometryResiduals::miss(g, scale, turned)) / turn;
-      const double speed2 = glm::dot(track, track);
-      if (!g.lights[h.light].on_arm || !(speed2 > 0) || !std::isfinite(speed2)) continue;
-      PaintTrack t;
-      t.view = static_cast<std::size_t>(std::find_if(views_.begin(), views_.end(), [&](const GeometryView& v) { return v.id == h.view; }) - views_.begin());
-      t.angle = glm::dot(miss, track) / speed2;
-      t.sigma = e.highlight_noise_factor * std::sqrt(track.x * track.x * h.xx + 2 * track.x * track.y * h.xy + track.y * track.y * h.yy) / speed2;
-      t.by.resize(unknowns.size());
-      found.push_back(std::move(t));
-      at.push_back(static_cast<std::size_t>(&h - result_.highlights.data()));
-    }
-    for (std::size_t k = 0; k < unknowns.size(); ++k) {
-      std::vector<double> up = x, down = x;
-      up[k] += step;
-      down[k] -= step;
-      const acquire::RigGeometry a = unknowns.with_visible_moved(x, k, step), b = unknowns.with_visible_moved(x, k, -step);
-      for (std::size_t i = 0; i < found.size(); ++i) {
-        const Highlight& h = result_.highlights[at[i]];
-        Highlight turned = h;
-        turned.turntable_angle += turn;
-        const glm::dvec2 track = (GeometryResiduals::miss(g, scale, h) - GeometryResiduals::miss(g, scale, turned)) / turn;
-        const glm::dvec2 moved = (GeometryResiduals::miss(b, unknowns.turntable_scale(down), h) - GeometryResiduals::miss(a, unknowns.turntable_scale(up), h)) / (2 * step);
-        found[i].by[k] = glm::dot(moved, track) / glm::dot(track, track);
-      }
+    for (std::size_t i = 0; i < views_.size(); ++i) {
+      const auto h = std::find_if(result_.highlights.begin(), result_.highlights.end(), [&](const Highlight& c) { return c.view == views_[i].id; });
+      const bool outlier = std::any_of(e.outliers.begin(), e.outliers.end(), [&](const auto& o) { return o.view == views_[i].id; });
+      if (!(e.angle_sigma_rad > 0) || h == result_.highlights.end() || outlier) continue;
+      if (const auto track = paint_track(i, *h, e.highlight_noise_factor, unknowns, x)) found.push_back(*track);
     }
     return found;
   }

@@ -6,6 +6,7 @@
 #include "libcalib/geometry_unknowns.h"
 #include "libcalib/geometry_solver.h"
 #include "libcalib/paint_samples.h"
+#include "libcalib/paint_track.h"
 
 /// What the light on the paint says of the geometry: the same half and difference angles occur at many places of the sphere and in many
 /// views, and wherever they do the paint is the same. docs/geometry.md has the equations.
@@ -16,13 +17,6 @@ struct PaintView {
   std::size_t light = 0;
   double turntable_angle = 0;   ///< radians, read back
   double factor = 1;            ///< on the light's intensity: its drift
-};
-
-/// Where a view's highlight has the turntable: the angle that it says minus the one read back, at the geometry of the unknowns.
-struct PaintTrack {
-  std::size_t view = 0;
-  double angle = 0, sigma = 0;  ///< radians; sigma: of the highlight's place alone
-  std::vector<double> by;       ///< what a unit of each of GeometryUnknowns::visible() explains of it
 };
 
 struct PaintOptions {
