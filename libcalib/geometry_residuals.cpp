@@ -74,14 +74,18 @@ double GeometryResiduals::edge_residual(const acquire::RigGeometry& g, const std
 
 glm::dvec2 GeometryResiduals::highlight_residual(const acquire::RigGeometry& g, double scale, std::size_t i) const {
   if (!highlight_used_[i]) return glm::dvec2(0.0);
+  const glm::dvec2 t = track_[i];
+  const double speed = glm::length(t);
+  if (!evidence_.has_tracks || !(speed > 0)) return whole_residual(g, scale, i);
+  const Highlight& h = highlights_[i];
+  const glm::dvec2 c = glm::dvec2(-t.y, t.x) / speed;
+  return {glm::dot(miss(g, scale, h), c) / (highlight_factor_ * std::sqrt(c.x * c.x * h.xx + 2 * c.x * c.y * h.xy + c.y * c.y * h.yy)), 0.0};
+}
+
+glm::dvec2 GeometryResiduals::whole_residual(const acquire::RigGeometry& g, double scale, std::size_t i) const {
   const Highlight& h = highlights_[i];
   const glm::dvec2 d = miss(g, scale, h), t = track_[i];
   const double f = highlight_factor_ * highlight_factor_, a = angle_sigma_ * angle_sigma_;
-  const double speed = glm::length(t);
-  if (evidence_.has_tracks && speed > 0) {
-    const glm::dvec2 c = glm::dvec2(-t.y, t.x) / speed;
-    return {glm::dot(d, c) / std::sqrt(f * (c.x * c.x * h.xx + 2 * c.x * c.y * h.xy + c.y * c.y * h.yy)), 0.0};
-  }
   const double xx = f * h.xx + a * t.x * t.x, xy = f * h.xy + a * t.x * t.y, yy = f * h.yy + a * t.y * t.y;
   const double l = std::sqrt(xx), m = xy / l, n = std::sqrt(yy - m * m);  // Cholesky factor of the covariance
   return {d.x / l, (d.y - m * d.x / l) / n};
@@ -235,12 +239,11 @@ void GeometryResiduals::select_inliers(const std::vector<double>& x) {
   const auto limit = [](std::size_t n) { return 5 * (1 + 2 / std::sqrt(static_cast<double>(std::max<std::size_t>(n, 4)))); };
   edge_used_.assign(edges_.size(), true);
   highlight_used_.assign(highlights_.size(), true);
-  const std::vector<double> r = at(x);
-  for (std::size_t i = 0; i < edges_.size(); ++i) edge_used_[i] = std::abs(r[i]) * edge_shared_ <= limit(edges_.size());
-  for (std::size_t i = 0; i < highlights_.size(); ++i) {
-    const std::size_t first = edges_.size() + 2 * i;
-    highlight_used_[i] = std::hypot(r[first], r[first + 1]) <= limit(highlights_.size());
-  }
+  const acquire::RigGeometry g = unknowns_.geometry(x);
+  const double scale = unknowns_.turntable_scale(x);
+  for (std::size_t i = 0; i < edges_.size(); ++i) edge_used_[i] = std::abs(edge_residual(g, x, i)) * edge_shared_ <= limit(edges_.size());
+  // Along its track too, where that counts elsewhere: a false one would come in there.
+  for (std::size_t i = 0; i < highlights_.size(); ++i) highlight_used_[i] = glm::length(whole_residual(g, scale, i)) <= limit(highlights_.size());
 }
 
 SymmetricMatrix normal_matrix(const std::vector<std::vector<double>>& columns, const std::vector<double>& weight) {

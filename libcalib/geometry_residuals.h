@@ -56,6 +56,7 @@ class GeometryResiduals {
   double edge_residual(const acquire::RigGeometry& g, const std::vector<double>& x, std::size_t i) const;
   void evidence_residuals(const acquire::RigGeometry& g, const std::vector<double>& x, std::vector<double>& out) const;
   glm::dvec2 highlight_residual(const acquire::RigGeometry& g, double scale, std::size_t i) const;
+  glm::dvec2 whole_residual(const acquire::RigGeometry& g, double scale, std::size_t i) const;  ///< used or not, along the track too
 
   const GeometryUnknowns& unknowns_;
   const std::vector<EdgePoint>& edges_;

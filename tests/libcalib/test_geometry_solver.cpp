@@ -384,19 +384,5 @@ TEST(GeometrySolver, ALensWrongWithinItsCovarianceIsInTheErrorBars) {
   EXPECT_GT(believed_pulls2, 9) << "the case does not show anything";
 }
 
-TEST(GeometrySolver, BadInputIsRefused) {
-  auto rig = test::quick_rig();
-  EXPECT_THROW(solve_geometry(rig, {}, {}), Error);
-  EXPECT_THROW(solve_geometry(rig, {{{100, 100}, 0}}, {}), Error) << "sigma 0";
-  EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 3, 0, {200, 100}}}), Error) << "no such light";
-  EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 0, 0, {NAN, 100}}}), Error);
-  EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 0, 0, {200, 100}, 1, 2, 1}}), Error) << "no covariance";
-  rig.lights[0].distant = true;
-  EXPECT_THROW(solve_geometry(rig, {}, {{"L0", 0, 0, {200, 100}}}), Error);
-  rig = test::quick_rig();
-  rig.camera.projection = acquire::CameraModel::Projection::orthographic;
-  EXPECT_THROW(solve_geometry(rig, {{{100, 100}, 0.1}}, {}), Error);
-}
-
 }  // namespace
 }  // namespace lacquer::calib
