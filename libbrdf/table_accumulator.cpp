@@ -1,9 +1,7 @@
 #include "libbrdf/table_accumulator.h"
 
-#ifdef __linux__
 #include <sys/mman.h>
-#endif
-
+#include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -104,20 +102,25 @@ const ReachableCells& reachable_cells() {
 }
 
 TableAccumulator::TableAccumulator(std::size_t n_channels) {
-  // In large pages where the system has them, and written once: otherwise every page costs a fault when it is first read and another one,
-  // at which all processors stop for a moment, when it is first written.
-  constexpr std::size_t page = std::size_t{2} << 20;
-  const std::size_t bytes = ((reachable_cells().size() + 1) * sizeof(CellSums) + page - 1) / page * page;
+  // In large pages where the system has them, and each written to: otherwise every page costs a fault when it is first read and another one,
+  // at which all processors stop for a moment, when it is first written. Pages from the system are zero: so are the sums.
+  constexpr std::size_t large_page = std::size_t{2} << 20, page = 4096;
+  const std::size_t bytes = (reachable_cells().size() + 1) * sizeof(CellSums);
   for (std::size_t c = 0; c < n_channels; ++c) {
-    channels_.emplace_back(static_cast<CellSums*>(std::aligned_alloc(page, bytes)));
-    if (!channels_.back()) throw std::bad_alloc();
+    void* const mapped = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    if (mapped == MAP_FAILED) throw std::bad_alloc();
+    channels_.emplace_back(static_cast<CellSums*>(mapped), Unmap{bytes});
 #ifdef __linux__
-    madvise(channels_.back().get(), bytes, MADV_HUGEPAGE);
+    madvise(mapped, bytes, MADV_HUGEPAGE);
 #endif
-    char* const memory = reinterpret_cast<char*>(channels_.back().get());
-    tbb::parallel_for(std::size_t{0}, bytes / page, [&](std::size_t i) { std::memset(memory + i * page, 0, page); });
+    auto* const memory = static_cast<volatile char*>(mapped);
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, (bytes + large_page - 1) / large_page), [&](const auto& range) {
+      for (std::size_t i = range.begin() * large_page; i < std::min(bytes, range.end() * large_page); i += page) memory[i] = 0;
+    });
   }
 }
+
+void TableAccumulator::Unmap::operator()(CellSums* p) const { munmap(p, bytes); }
 
 CellSums& TableAccumulator::at(std::size_t channel, const TableGrid::Cell& cell) {
   const int row = cell.theta_h * TableGrid::n_theta_d + cell.theta_d;

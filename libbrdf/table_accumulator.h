@@ -3,7 +3,6 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <cstdlib>
 #include <cstring>
 #include <memory>
 #include <vector>
@@ -45,32 +44,24 @@ struct alignas(16) CellSums {
     count = (count + s.count) & 0x7fffffffu;
   }
 
-  /// The same for one value, eight numbers at a time. `value`: weight, value and variance as above and anything; `others`: any float, then theta_h
-  /// to mixed as above, then 0.
-  void add_value(const float* value, const float* others) {
+  /// The same for one value, in two additions. `sums`: weight and value as above; `others`: variance to mixed as above, then the bits of the integer 1.
+  void add_value(const float (&sums)[2], const float (&others)[8]) {
     typedef double Double2 __attribute__((vector_size(16)));
-    typedef double Double4 __attribute__((vector_size(32)));
-    typedef float Float4 __attribute__((vector_size(16)));
+    typedef float Float2 __attribute__((vector_size(8)));
     typedef float Float8 __attribute__((vector_size(32)));
-    typedef std::int32_t Int32x8 __attribute__((vector_size(32)));
+    typedef std::uint32_t UInt32x8 __attribute__((vector_size(32)));
     if (bounds) *this = {};
-    Double2 sums;
-    Float8 floats, more;  // the last one of `floats` is the count
-    std::memcpy(&sums, &weight, sizeof sums);
-    std::memcpy(&floats, &variance, sizeof floats);
+    Float2 own;
+    Double2 in_double;
+    Float8 floats, more;  // the last one of each is a count
+    std::memcpy(&own, sums, sizeof own);
     std::memcpy(&more, others, sizeof more);
-    Float4 own;
-    std::memcpy(&own, value, sizeof own);
-    const float x = value[2];
-    const Int32x8 first{-1}, all_but_count{-1, -1, -1, -1, -1, -1, -1, 0};
-    more = first ? Float8{x, x, x, x, x, x, x, x} : more;
-    const Double4 in_double = __builtin_convertvector(own, Double4);
-    sums += __builtin_shufflevector(in_double, in_double, 0, 1);
-    const Int32x8 counted = (Int32x8)floats + 1;
-    const Float8 added = (Float8)((Int32x8)floats & all_but_count) + more;
-    const Float8 both = __builtin_shufflevector(added, (Float8)counted, 0, 1, 2, 3, 4, 5, 6, 15);
-    std::memcpy(&weight, &sums, sizeof sums);
-    std::memcpy(&variance, &both, sizeof both);
+    std::memcpy(&in_double, &weight, sizeof in_double);
+    std::memcpy(&floats, &variance, sizeof floats);
+    in_double += __builtin_convertvector(own, Double2);
+    floats = __builtin_shufflevector(floats + more, (Float8)((UInt32x8)floats + (UInt32x8)more), 0, 1, 2, 3, 4, 5, 6, 15);
+    std::memcpy(&weight, &in_double, sizeof in_double);
+    std::memcpy(&variance, &floats, sizeof floats);
   }
 };
 static_assert(sizeof(CellSums) == 48);
@@ -116,11 +107,12 @@ class TableAccumulator {
   HalfAngleTable table(bool symmetrise);
 
  private:
-  struct Free {
-    void operator()(CellSums* p) const { std::free(p); }
+  struct Unmap {
+    std::size_t bytes;
+    void operator()(CellSums* p) const;
   };
   CellSums& at(std::size_t channel, const TableGrid::Cell& cell);
-  std::vector<std::unique_ptr<CellSums[], Free>> channels_;
+  std::vector<std::unique_ptr<CellSums[], Unmap>> channels_;
 };
 
 }  // namespace lacquer::brdf

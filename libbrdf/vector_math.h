@@ -42,7 +42,7 @@ template <typename Vector, typename Scalar>
 LACQUER_ALWAYS_INLINE void store(Scalar* to, Vector v) {
   std::memcpy(to, &v, sizeof v);
 }
-LACQUER_ALWAYS_INLINE Double4 load_as_double(const float* from) { return __builtin_convertvector(load<Float4>(from), Double4); }
+LACQUER_ALWAYS_INLINE Double4 load_as_double(const float* f) { return Double4{f[0], f[1], f[2], f[3]}; }  // GCC 12 makes one conversion of this
 
 /// `mask`: result of a comparison, all bits of a lane set or none.
 LACQUER_ALWAYS_INLINE Double4 select(Int64x4 mask, Double4 yes, Double4 no) { return mask ? yes : no; }

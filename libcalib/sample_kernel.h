@@ -13,7 +13,7 @@ namespace lacquer::calib {
 struct KernelView {
   double sphere_radius;
   bool central;      ///< false: orthographic
-  glm::dvec3 camera; ///< centre of projection; orthographic: unit direction towards the camera
+  glm::dvec3 camera; ///< as PixelCamera::position
   bool distant;
   glm::dvec3 light;  ///< position; distant: unit direction
   glm::dvec3 axis;   ///< unit, from the light towards where it is aimed
@@ -30,23 +30,16 @@ enum class PixelFate : std::uint32_t {
   blurred,  ///< see SampleOptions::narrowest_m
 };
 
-/// All of a sample but its value, as CellSums adds it up.
-struct alignas(32) PixelSample {
-  float weight;                      ///< irradiance relative to the light's on axis
-  float theta_h, theta_d, phi_d;     ///< weight * (coordinate - cell's centre)
-  float along, across, mixed;        ///< weight * footprint, along with the spread within the cell
-  float none;                        ///< 0
-};
-static_assert(sizeof(PixelSample) == 32);
-
-/// Samples of one block of pixels, in groups of eight; groups that no light reaches are left out.
+/// Samples of one block of pixels, in groups of eight; groups that no light reaches are left out. All of a sample but its value, as CellSums adds it up.
 struct SampleBlock {
   static constexpr std::size_t width = PixelGroup::width, size = 512;  // pixels
-  PixelSample sample[size];
-  alignas(32) float weight[size];  ///< of `sample`, once more
-  alignas(32) std::uint32_t slot[size];  ///< of the sample's cell in brdf::reachable_cells(); their number where there is no sample
-  std::uint16_t group[size / width];     ///< first pixel of each group, from the block's first
-  std::uint16_t doubtful[size];          ///< places in `sample` where float cannot decide; they have no sample yet
+  typedef float Column[size];
+  alignas(32) Column weight;         ///< irradiance relative to the light's on axis
+  Column theta_h, theta_d, phi_d;    ///< weight * (coordinate - cell's centre)
+  Column along, across, mixed;       ///< weight * footprint, along with the spread within the cell
+  std::uint32_t slot[size];          ///< of the sample's cell in brdf::reachable_cells(); their number where there is no sample
+  std::uint16_t group[size / width];  ///< first pixel of each group, from the block's first
+  std::uint16_t doubtful[size];       ///< places where float cannot decide; they have no sample yet
   std::size_t n_groups, n_doubtful, n_blurred;
 };
 

@@ -1,7 +1,7 @@
 #pragma once
 
 #include <cstddef>
-#include <glm/vec3.hpp>
+#include <cstdint>
 #include <numbers>
 
 #include "libbrdf/vector_math.h"
@@ -16,6 +16,7 @@ using brdf::Float4;
 using brdf::Float8;
 using brdf::Int32x8;
 using brdf::load;
+using brdf::load_as_double;
 using brdf::maximum;
 using brdf::minimum;
 using brdf::select;
@@ -25,11 +26,14 @@ using brdf::UInt32x8;
 
 constexpr float pi = std::numbers::pi_v<float>;
 
-/// What rounding in float may do: to components of unit vectors and to cosines, some units in the last place of 1.
+/// What rounding in float may do: to components of unit vectors and to cosines, some units in the last place of 1; for a distant light and camera.
 constexpr float rounding = 4e-7f;
 
 LACQUER_ALWAYS_INLINE bool any(Int32x8 m) {
   return brdf::any((brdf::Int64x4)m);
+}
+LACQUER_ALWAYS_INLINE Float8 load_as_float(const std::int16_t* i) {
+  return __builtin_convertvector((Int32x8{i[0], i[1], i[2], i[3], i[4], i[5], i[6], i[7]}), Float8);
 }
 LACQUER_ALWAYS_INLINE Float8 absolute(Float8 x) { return (Float8)((UInt32x8)x & 0x7fffffffu); }
 
@@ -43,32 +47,8 @@ LACQUER_ALWAYS_INLINE Float8 high_pairs(Float8 a, Float8 b) { return __builtin_s
 LACQUER_ALWAYS_INLINE Float8 low_fours(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13); }
 LACQUER_ALWAYS_INLINE Float8 high_fours(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15); }
 
-/// Eight doubles, for what would cancel in float.
-struct Wide {
-  Double4 low, high;
-};
-LACQUER_ALWAYS_INLINE Wide wide(Double4 x) { return {x, x}; }
-LACQUER_ALWAYS_INLINE Wide operator+(const Wide& a, const Wide& b) { return {a.low + b.low, a.high + b.high}; }
-LACQUER_ALWAYS_INLINE Wide operator-(const Wide& a, const Wide& b) { return {a.low - b.low, a.high - b.high}; }
-LACQUER_ALWAYS_INLINE Wide operator*(const Wide& a, const Wide& b) { return {a.low * b.low, a.high * b.high}; }
-LACQUER_ALWAYS_INLINE Float8 narrow(const Wide& x) {
-  return __builtin_shufflevector(__builtin_convertvector(x.low, Float4), __builtin_convertvector(x.high, Float4), 0, 1, 2, 3, 4, 5, 6, 7);
-}
-/// In steps of PixelGroup::normal_step; what it is multiplied by is to be as much smaller.
-struct Normal {
-  Wide x, y, z;
-};
-LACQUER_ALWAYS_INLINE Wide load_wide(const std::int32_t* from) {
-  const auto four = [](const std::int32_t* i) { return Double4{double(i[0]), double(i[1]), double(i[2]), double(i[3])}; };
-  return {four(from), four(from + 4)};
-}
-LACQUER_ALWAYS_INLINE Normal load_normal(const PixelGroup& p) { return {load_wide(p.normal[0]), load_wide(p.normal[1]), load_wide(p.normal[2])}; }
-struct DoubleVector {
-  Double4 x, y, z;
-  explicit DoubleVector(const glm::dvec3& v)
-      : x(brdf::splat(v.x * PixelGroup::normal_step)), y(brdf::splat(v.y * PixelGroup::normal_step)), z(brdf::splat(v.z * PixelGroup::normal_step)) {}
-};
-LACQUER_ALWAYS_INLINE Wide dot(const Normal& n, const DoubleVector& v) { return n.x * wide(v.x) + n.y * wide(v.y) + n.z * wide(v.z); }
+LACQUER_ALWAYS_INLINE Float8 low_halves(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11); }
+LACQUER_ALWAYS_INLINE Float8 high_halves(Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15); }
 
 /// c[0] + c[1] x + ... + c[7] x^7, in few steps that wait for each other.
 LACQUER_ALWAYS_INLINE Float8 polynomial(Float8 x, const Float8 (&c)[8]) {
@@ -108,10 +88,10 @@ struct CellOf {
   Float8 cell;
   Int32x8 doubtful;
 };
-LACQUER_ALWAYS_INLINE CellOf cell_of(Float8 x, int n, float rounding_doubt, float doubt, Float8 size) {
+LACQUER_ALWAYS_INLINE CellOf cell_of(Float8 x, int n, float rounding_doubt, Float8 doubt, Float8 size) {
   const Float8 cell = __builtin_convertvector(__builtin_convertvector(minimum(x, splat(static_cast<float>(n) - 0.5f)), Int32x8), Float8);
   const Float8 fraction = x - cell;
-  return {cell, (minimum(fraction, splat(1.0f) - fraction) - splat(rounding_doubt)) * size < splat(doubt)};
+  return {cell, (minimum(fraction, splat(1.0f) - fraction) - splat(rounding_doubt)) * size < doubt};
 }
 
 }  // namespace lacquer::calib::kernel

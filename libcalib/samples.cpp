@@ -189,23 +189,20 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
       row.parts.push_back(mosaic ? acquire::channel_of(layout_, x, y, 0) : 0);
     }
   });
-  parts_.resize(mosaic ? 3 : 1);
-  const double blur2 = 1.0 / 12 + calibration_.lens_blur_px * calibration_.lens_blur_px;  // of pixel area and lens, pixels^2
-  for (std::size_t part = 0; part < parts_.size(); ++part) parts_[part].channel = static_cast<int>(part);
+  const PixelCamera camera{camera_, central(), rig.sphere_radius, 1.0 / 12 + calibration_.lens_blur_px * calibration_.lens_blur_px};
+  for (int part = 0; part < (mosaic ? 3 : 1); ++part) parts_.emplace_back(part, camera, static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
   for (std::size_t y = 0; y < rows.size(); ++y) {
     for (std::size_t i = 0; i < rows[y].pixels.size(); ++i)
-      parts_[static_cast<std::size_t>(rows[y].parts[i])].push_back(rows[y].pixels[i], camera_, central(), rig.sphere_radius, blur2);
+      parts_[static_cast<std::size_t>(rows[y].parts[i])].push_back(rows[y].pixels[i]);
     rows[y] = {};
     n_masked_ += masked[y];
   }
   for (SpherePixels& part : parts_) part.finish();
-  // Green, with half of the pixels, first: it keeps one of two threads as long busy as the others the other one.
-  std::stable_sort(parts_.begin(), parts_.end(), [](const SpherePixels& a, const SpherePixels& b) { return a.size > b.size; });
 }
 
 std::size_t Sampler::n_pixels() const {
   std::size_t n = 0;
-  for (const SpherePixels& part : parts_) n += part.size;
+  for (const SpherePixels& part : parts_) n += part.size();
   return n;
 }
 
@@ -233,9 +230,8 @@ Sampler::Lit Sampler::light(const View& view, const SpherePixels& pixels, std::s
   const auto local = acquire::to_shading_frame(p, illumination->wi);
   const double camera_distance = central() ? glm::length(camera_ - p.position) : std::numeric_limits<double>::infinity();
   const CameraFrame frame = camera_frame(p.normal, camera_);
-  const auto& spread = pixels.group(i).spread;
-  const std::size_t k = SpherePixels::lane(i);
-  const std::array<glm::dvec3, 2> moves{double{spread[0][k]} * frame.x + double{spread[1][k]} * frame.y, double{spread[2][k]} * frame.y};
+  const glm::dvec3 spread = pixels.spread(i);
+  const std::array<glm::dvec3, 2> moves{spread.x * frame.x + spread.y * frame.y, spread.z * frame.y};
   lit.directions = {local.wi, local.wo};
   lit.coordinates = brdf::half_diff(lit.directions);
   lit.footprint = half_vector_footprint(calibration_.geometry.sphere_radius, camera_distance, view.light, p, illumination->wi, moves,
@@ -263,17 +259,17 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, const Illumination
   std::vector<Sample> samples;
   const auto chunk = [&](const SpherePixels& pixels, std::size_t first) {
     samples.clear();
-    for (std::size_t i = first; i < std::min(first + chunk_pixels, pixels.size); ++i) {
+    for (std::size_t i = first; i < std::min(first + chunk_pixels, pixels.size()); ++i) {
       const Lit lit = light(view, pixels, i);
       if (lit.fate != PixelFate::used) (lit.fate == PixelFate::blurred ? counts.blurred : counts.grazing) += per_pixel;
       for (std::size_t k = 0; lit.fate == PixelFate::used && k < per_pixel; ++k) {
-        const std::size_t value = pixels.group(i).index[SpherePixels::lane(i)] * per_pixel + k;
+        const std::size_t value = pixels.index(i) * per_pixel + k;
         const PixelFlag flag = image.flags[value];
         ++(flag == PixelFlag::clipped ? counts.clipped : flag == PixelFlag::invalid ? counts.invalid : counts.used);
         if (flag == PixelFlag::invalid) continue;
-        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels.channel;
+        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels.channel();
         // f_r = radiance / irradiance
-        const double scale = double{pixels.group(i).inverse_transmission[SpherePixels::lane(i)]} / (calibration_.dn_per_radiance[channel] * lit.irradiance[channel]);
+        const double scale = pixels.inverse_transmission(i) / (calibration_.dn_per_radiance[channel] * lit.irradiance[channel]);
         samples.push_back({lit.coordinates, image.radiance[value] * scale, image.variance[value] * scale * scale, lit.weight, lit.footprint,
                            channel, flag == PixelFlag::clipped});
       }
@@ -281,7 +277,7 @@ SampleCounts Sampler::sample_view(const RadianceImage& image, const Illumination
     sink(samples);
   };
   for (const SpherePixels& pixels : parts_)
-    for (std::size_t first = 0; first < pixels.size; first += chunk_pixels) chunk(pixels, first);
+    for (std::size_t first = 0; first < pixels.size(); first += chunk_pixels) chunk(pixels, first);
   return counts;
 }
 
@@ -300,16 +296,16 @@ Sampler::Prediction Sampler::predict_view(const brdf::Brdf& paint, const Illumin
       const auto f = paint.value(lit.directions, lit.footprint);
       if (!f) continue;
       for (std::size_t k = 0; k < per_pixel; ++k) {
-        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels.channel;
-        const std::size_t value = pixels.group(i).index[SpherePixels::lane(i)] * per_pixel + k;
+        const int channel = per_pixel > 1 ? static_cast<int>(k) : pixels.channel();
+        const std::size_t value = pixels.index(i) * per_pixel + k;
         prediction.radiance[value] = static_cast<float>((*f)[channel] * lit.irradiance[channel] * calibration_.dn_per_radiance[channel] /
-                                                        double{pixels.group(i).inverse_transmission[SpherePixels::lane(i)]});
+                                                        pixels.inverse_transmission(i));
         used[value] = 1;
       }
     }
   };
   for (const SpherePixels& pixels : parts_)
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pixels.size, 512), [&](const auto& range) { predict(pixels, range.begin(), range.end()); });
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, pixels.size(), 512), [&](const auto& range) { predict(pixels, range.begin(), range.end()); });
   std::transform(used.begin(), used.end(), prediction.used.begin(), [](unsigned char u) { return u != 0; });
   return prediction;
 }

@@ -121,14 +121,14 @@ class Sampler {
   void check(const RadianceImage& image) const;
   SampleCounts accumulate_together(std::span<const LitImage> views, brdf::TableAccumulator& accumulator) const;
   KernelView kernel_view(const View& view) const;
-  PixelFate resolve(const View& view, const SpherePixels& pixels, std::size_t i, PixelSample& sample, std::uint32_t& slot) const;
+  PixelFate resolve(const View& view, const SpherePixels& pixels, std::size_t i, SampleBlock& to, std::size_t at) const;
 
   std::size_t n_masked_ = 0;
   Calibration calibration_;
   acquire::PixelLayout layout_;
   SampleOptions options_;
   glm::dvec3 camera_;  ///< rig frame: centre of projection; orthographic: unit direction towards the camera
-  std::vector<SpherePixels> parts_;  ///< of a mosaic one for each colour, the largest first; else a single one
+  std::vector<SpherePixels> parts_;  ///< of a mosaic one for each colour, else a single one
 };
 
 /// Radiance images of a session's measurement views -> half-angle table, the next `views_at_once` images read while as many are tabulated. Empty

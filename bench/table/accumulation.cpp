@@ -9,6 +9,8 @@
 #include <cmath>
 #include <map>
 #include <random>
+#include <span>
+#include <utility>
 
 #include "bench/table/parts.h"
 #include "libacquire/rig_description.h"
@@ -16,6 +18,7 @@
 #include "libbrdf/table_accumulator.h"
 #include "libcalib/calibration.h"
 #include "libcalib/samples.h"
+#include "libcalib/sphere_pixels.h"
 
 /// Samples into cells: time per sample, error against a plain loop in double, memory.
 namespace lacquer::bench {
@@ -54,10 +57,10 @@ calib::RadianceImage image_for(const acquire::RigDescription& rig, unsigned seed
 /// Sums of a cell in double: value, variance, coordinates.
 struct PlainSums {
   double weight = 0, value = 0, variance = 0, theta_h = 0, theta_d = 0, phi_d = 0;
-  std::size_t count = 0;
+  std::size_t count = 0, last_view = 0;  // the view's number from 1
 };
 
-/// Reads and writes as much memory as two cores can: the cells' sums cannot be faster than this.
+/// Reads and writes as much memory as the cores can.
 double copy_gb_per_s() {
   std::vector<float> from(1 << 25, 1.0f), to(from.size());
   double best = 1e9;
@@ -110,19 +113,25 @@ void accumulation(const std::filesystem::path& source, bool smoke) {
   std::vector<calib::LitImage> lit;
   for (const auto& view : views) lit.push_back({&images[lit.size() % images.size()], view});
   const std::size_t on_sphere = sampler->n_pixels() * views.size();
-  // Several times, because the machine is not always quiet: the fastest counts.
+  // Several times, because the machine is not always quiet: the fastest counts, of the whole and of each few views that are taken together.
   std::unique_ptr<brdf::TableAccumulator> accumulator;
   struct Pass {
     double total, cpu, empty_table;
     std::size_t samples = 0;
   };
   std::vector<Pass> passes;
-  for (int pass = 0; pass < (smoke ? 1 : 5); ++pass) {
+  constexpr std::size_t together = calib::Sampler::views_at_once;
+  std::vector<double> fastest((lit.size() + together - 1) / together, 1e9);
+  for (int pass = 0; pass < (smoke ? 1 : 15); ++pass) {
     accumulator.reset();
     Pass p{seconds(), cpu_seconds(), seconds()};
     accumulator = std::make_unique<brdf::TableAccumulator>(n_channels);
     p.empty_table = seconds() - p.empty_table;
-    p.samples = sampler->accumulate_views(lit, *accumulator).used;
+    for (std::size_t v = 0; v < lit.size(); v += together) {
+      const double begin = seconds();
+      p.samples += sampler->accumulate_views(std::span(lit).subspan(v, std::min(together, lit.size() - v)), *accumulator).used;
+      fastest[v / together] = std::min(fastest[v / together], seconds() - begin);
+    }
     p.total = seconds() - p.total;
     p.cpu = cpu_seconds() - p.cpu;
     passes.push_back(p);
@@ -130,30 +139,31 @@ void accumulation(const std::filesystem::path& source, bool smoke) {
   std::sort(passes.begin(), passes.end(), [](const Pass& a, const Pass& b) { return a.total < b.total; });
   const Pass best = passes[0], median = passes[passes.size() / 2];
   const auto ns = [&](double s) { return 1e9 * s / static_cast<double>(best.samples); };
+  double undisturbed = std::min_element(passes.begin(), passes.end(), [](const Pass& a, const Pass& b) { return a.empty_table < b.empty_table; })->empty_table;
+  for (const double t : fastest) undisturbed += t;
   fmt::print("{}: {} images of {} x {}, {} samples of {} pixels on the sphere, all geometry and angles included\n", rig.name, views.size(), image.width,
              image.height, best.samples, on_sphere);
   fmt::print("accumulation, fastest of {} passes: {:.2f} ns per sample, {:.2f} per pixel on the sphere ({:.3f} s, of this {:.3f} s for the memory of the cells);\n"
-             "  {:.2f} ns of processor time per sample; median pass {:.2f} ns per sample; geometry of the pixels {:.2f} s once\n",
+             "  {:.2f} ns of processor time per sample; median pass {:.2f} ns per sample; every {} views in their fastest pass {:.2f};\n"
+             "  geometry of the pixels {:.2f} s once\n",
              passes.size(), ns(best.total), 1e9 * best.total / static_cast<double>(on_sphere), best.total, best.empty_table, ns(best.cpu), ns(median.total),
-             set_up);
+             together, ns(undisturbed), set_up);
   sampler.reset();
   {
     const double begin = seconds();
     const brdf::HalfAngleTable table = accumulator->table(true);
     fmt::print("table from the sums: {:.2f} s; peak memory of the process until here {:.0f} MB\n", seconds() - begin, peak_mb());
   }
-  const double gb = copy_gb_per_s();
-  fmt::print("copying memory: {:.1f} GB/s, at which reading a pixel (44 + 9 bytes) and updating a cell (48 twice) would take {:.1f} ns\n", gb, 149 / gb);
-
   // The same views, a few of them, by the plain loop.
   sampler = std::make_unique<calib::Sampler>(calibration, rig.mask, rig.sensor.layout, calib::SampleOptions{});
   const std::size_t step = smoke ? 1 : 30;
   brdf::TableAccumulator again(n_channels);
   std::vector<std::vector<PlainSums>> plain(n_channels, std::vector<PlainSums>(brdf::TableGrid::n_cells));
   double plain_time = 0;
-  std::size_t plain_samples = 0;
+  std::size_t plain_samples = 0, plain_views = 0, cells_of_views = 0;
   for (std::size_t v = 0; v < views.size(); v += step) {
     sampler->accumulate_view(image, views[v], again);
+    ++plain_views;
     const double begin = cpu_seconds();
     plain_samples += sampler->sample_view(image, views[v], [&](std::span<const calib::Sample> all) {
       for (const calib::Sample& s : all) {
@@ -165,11 +175,18 @@ void accumulation(const std::filesystem::path& source, bool smoke) {
         p.theta_d += s.weight * s.coordinates.theta_d;
         p.phi_d += s.weight * brdf::fold_phi_d(s.coordinates.phi_d);
         ++p.count;
+        cells_of_views += std::exchange(p.last_view, v + 1) != v + 1;
       }
     }).used;
     plain_time += cpu_seconds() - begin;
   }
   fmt::print("plain loop, one core: {:.0f} ns of processor time per sample\n", plain_time / static_cast<double>(plain_samples) * 1e9);
+  // What memory cannot do without: a pixel's geometry once for the views together, its value, and each cell of a view once in and out.
+  const double gb = copy_gb_per_s();
+  const double pixels = static_cast<double>(sampler->n_pixels() * plain_views), cells = static_cast<double>(cells_of_views);
+  const double bytes = pixels * (static_cast<double>(sizeof(calib::PixelGroup)) / calib::PixelGroup::width / together + 9) + cells * 2 * sizeof(brdf::CellSums);
+  fmt::print("copying memory: {:.1f} GB/s; at that rate the {:.0f} bytes per sample that must be moved ({:.1f} samples per cell of a view) would take {:.1f} ns\n", gb,
+             bytes / static_cast<double>(plain_samples), static_cast<double>(plain_samples) / cells, bytes / static_cast<double>(plain_samples) / gb);
   compare(again.table(false), plain);
 }
 
