@@ -10,7 +10,6 @@
 #include <memory>
 #include <span>
 #include <thread>
-#include <utility>
 #include <vector>
 
 #include "libcalib/sample_kernel_math.h"
@@ -107,15 +106,6 @@ class InOrder {
   std::atomic<std::size_t> next_ = 0, consumed_ = 0;
   std::atomic_flag consuming_;
 };
-
-/// The blocks of all parts of a mosaic as they follow each other in the image, so that its lines are still in the cache when the next colour reads them.
-std::vector<std::pair<const SpherePixels*, std::size_t>> blocks_in_order(std::span<const SpherePixels> parts) {
-  std::vector<std::pair<const SpherePixels*, std::size_t>> blocks;
-  for (const SpherePixels& pixels : parts)
-    for (std::size_t first = 0; first < pixels.size(); first += SampleBlock::size) blocks.emplace_back(&pixels, first);
-  std::sort(blocks.begin(), blocks.end(), [](const auto& a, const auto& b) { return a.first->index(a.second) < b.first->index(b.second); });
-  return blocks;
-}
 
 /// Eight pixels' values as they stand in the image.
 struct EightValues {
@@ -308,34 +298,34 @@ SampleCounts Sampler::accumulate_together(std::span<const LitImage> images, brdf
     const double scale = 1 / (calibration_.dn_per_radiance[i] * lit.view.light.intensity[i] * lit.view.reference);
     return {lit.image, pixels, per_pixel, offset, static_cast<float>(scale)};
   };
-  const std::vector<std::pair<const SpherePixels*, std::size_t>> order = blocks_in_order(parts_);
   const auto n_threads = static_cast<std::size_t>(tbb::this_task_arena::max_concurrency());
-  InOrder queue(order.size(), 2 * n_threads);  // few, so that the blocks stay in the cache until they are added
-  std::vector<std::array<std::vector<BlockValues>, views_at_once>> blocks(queue.n_slots());
-  for (auto& block : blocks)
-    for (auto& values : block) values.resize(per_pixel);
+  InOrder queue(blocks_.size(), 2 * n_threads);  // few, so that the blocks stay in the cache until they are added
+  const std::size_t values_per_slot = views.size() * per_pixel;
+  const auto values = std::make_unique_for_overwrite<BlockValues[]>(queue.n_slots() * values_per_slot);
+  const auto values_of = [&](std::size_t slot, std::size_t view) { return std::span(&values[slot * values_per_slot + view * per_pixel], per_pixel); };
   SampleCounts sum;
   const auto compute = [&](std::size_t i, std::size_t slot) {
-    const auto [pixels, first] = order[i];
-    const std::size_t n = std::min(SampleBlock::size, pixels->size() - first);
+    const auto [part, first] = blocks_[i];
+    const SpherePixels& pixels = parts_[part];
+    const std::size_t n = std::min(SampleBlock::size, pixels.size() - first);
     SampleBlock samples;
     for (std::size_t v = 0; v < views.size(); ++v) {  // all views of the block while its pixels are in the cache
-      views[v].kernel.sample(*pixels, first, n, v == 0, samples);
+      views[v].kernel.sample(pixels, first, n, v == 0, samples);
       for (std::size_t d = 0; d < samples.n_doubtful; ++d) {
         const std::size_t at = samples.doubtful[d], pixel = first + samples.group[at / SampleBlock::width] + at % SampleBlock::width;
-        samples.n_blurred += resolve(views[v].view, *pixels, pixel, samples, at) == PixelFate::blurred;
+        samples.n_blurred += resolve(views[v].view, pixels, pixel, samples, at) == PixelFate::blurred;
       }
-      auto& values = blocks[slot][v];
-      for (std::size_t c = 0; c < per_pixel; ++c)
-        read_values(samples, first, image_channel(views[v], *pixels, c), accumulator.cells(channel_of(*pixels, c)), values[c]);
-      values[0].counts.blurred = samples.n_blurred * per_pixel;
+      const std::span<BlockValues> to = values_of(slot, v);
+      for (std::size_t c = 0; c < per_pixel; ++c) read_values(samples, first, image_channel(views[v], pixels, c), accumulator.cells(channel_of(pixels, c)), to[c]);
+      to[0].counts.blurred = samples.n_blurred * per_pixel;
     }
   };
   const auto add = [&](std::size_t i, std::size_t slot) {
     for (std::size_t v = 0; v < views.size(); ++v)
       for (std::size_t c = 0; c < per_pixel; ++c) {
-        add_block(blocks[slot][v][c], accumulator.cells(channel_of(*order[i].first, c)));
-        sum += blocks[slot][v][c].counts;
+        const BlockValues& from = values_of(slot, v)[c];
+        add_block(from, accumulator.cells(channel_of(parts_[blocks_[i].part], c)));
+        sum += from.counts;
       }
   };
   tbb::parallel_for(std::size_t{0}, n_threads, [&](std::size_t) { queue.work(compute, add); }, tbb::simple_partitioner());

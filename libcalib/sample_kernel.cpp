@@ -106,7 +106,7 @@ struct Columns {
   static constexpr std::size_t size = SpherePixels::per_cap;
   typedef float Column[size];
   alignas(32) Column cos_i, cos_o, sin_o, light_x, light_y, inverse_light_distance, weight;
-  Column sin_h, cos_h, sin_d, length, inverse_length, inverse_sin_h, cos_phi, sin_phi, product;  // the length is that of the sum of both directions
+  Column sin_theta_h, sin_h, cos_h, sin_d, length, inverse_length, inverse_sin_h, cos_phi, sin_phi, product;  // the length is that of the sum of both directions
   Column theta_h, theta_d, phi_d, offset_h, offset_d, offset_p, centre_h, along, across, mixed;
   alignas(32) std::int32_t lit[size], doubtful[size], blurred[size], row[size], phi_cell[size], slot[size];
 };
@@ -191,6 +191,7 @@ LACQUER_ALWAYS_INLINE void sines(Columns& c, std::size_t k) {
   const Float8 inverse_length = inverse * product, inverse_product = inverse * length;
   store(c.sin_h + k, sin_h);
   store(c.cos_h + k, along_normal * inverse_length);
+  store(c.sin_theta_h + k, sin_h * inverse_length);
   store(c.sin_d + k, sin_d);
   store(c.length + k, length);
   store(c.inverse_length + k, inverse_length);
@@ -203,7 +204,7 @@ LACQUER_ALWAYS_INLINE void sines(Columns& c, std::size_t k) {
 LACQUER_ALWAYS_INLINE void angles(Columns& c, std::size_t k) {
   const Float8 zero = splat(0.0f), cos_phi = load<Float8>(c.cos_phi + k), sin_phi = load<Float8>(c.sin_phi + k);
   const Float8 steep_phi = angle_of(absolute(sin_phi), absolute(cos_phi));
-  store(c.theta_h + k, angle_of(load<Float8>(c.sin_h + k) * load<Float8>(c.inverse_length + k), load<Float8>(c.cos_h + k)));
+  store(c.theta_h + k, angle_of(load<Float8>(c.sin_theta_h + k), load<Float8>(c.cos_h + k)));
   store(c.theta_d + k, angle_of(load<Float8>(c.sin_d + k) * splat(0.5f), load<Float8>(c.length + k) * splat(0.5f)));
   store(c.phi_d + k, select((cos_phi < zero) ^ (sin_phi < zero), splat(pi) - steep_phi, steep_phi));
 }
@@ -239,9 +240,9 @@ LACQUER_ALWAYS_INLINE void footprint(const PixelGroup& p, const Constants& view,
   const Float8 per_light = view.light_radius * inverse_light_distance, per_camera = view.camera_radius * load<Float8>(p.inverse_distance);
   const Float8 e_x = (light_x + sin_o) * inverse_sin_h, e_y = light_y * inverse_sin_h;
   const Float8 kappa_x = per_light * light_x - per_camera * sin_o, kappa_y = per_light * light_y;
-  const Float8 turn = (per_light + per_camera) * inverse_length, sine = sin_h * inverse_length;
+  const Float8 turn = (per_light + per_camera) * inverse_length, cos_h = load<Float8>(c.cos_h + k);
   const Float8 g = (half * sin_h - sin_o * e_x) * inverse_length, b = sin_o * e_y * inverse_length;
-  const Float8 stay_along = one + turn - turn * sine * sine, stay_across = one + turn;
+  const Float8 stay_along = one + turn * cos_h * cos_h, stay_across = one + turn;
   const Float8 along_x = g * kappa_x - stay_along * e_x, along_y = g * kappa_y - stay_along * e_y;
   const Float8 across_x = b * kappa_x + stay_across * e_y, across_y = b * kappa_y - stay_across * e_x;
   const Float8 xx = load_as_float(p.spread[0]), yx = load_as_float(p.spread[1]), yy = load_as_float(p.spread[2]), unit2 = splat(p.spread_unit * p.spread_unit);

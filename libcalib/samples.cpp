@@ -197,7 +197,11 @@ Sampler::Sampler(const Calibration& calibration, const acquire::MaskDescription&
     rows[y] = {};
     n_masked_ += masked[y];
   }
-  for (SpherePixels& part : parts_) part.finish();
+  for (std::size_t part = 0; part < parts_.size(); ++part) {
+    parts_[part].finish();
+    for (std::size_t first = 0; first < parts_[part].size(); first += SampleBlock::size) blocks_.push_back({part, first});
+  }
+  std::sort(blocks_.begin(), blocks_.end(), [&](const Block& a, const Block& b) { return parts_[a.part].index(a.first) < parts_[b.part].index(b.first); });
 }
 
 std::size_t Sampler::n_pixels() const {

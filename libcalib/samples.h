@@ -128,6 +128,11 @@ class Sampler {
   acquire::PixelLayout layout_;
   SampleOptions options_;
   glm::dvec3 camera_;  ///< rig frame: centre of projection; orthographic: unit direction towards the camera
+  /// Pixels that are computed at a time.
+  struct Block {
+    std::size_t part, first;
+  };
+  std::vector<Block> blocks_;  ///< of all parts as they follow each other in the image: its lines are still in the cache when the next colour reads them
   std::vector<SpherePixels> parts_;  ///< of a mosaic one for each colour, else a single one
 };
 
