@@ -3,15 +3,14 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <bit>
 #include <cstring>
 #include <glm/geometric.hpp>
 #include <memory>
 #include <span>
-#include <thread>
 #include <vector>
 
+#include "libcalib/in_order.h"
 #include "libcalib/sample_kernel_math.h"
 #include "libcalib/samples.h"
 
@@ -75,36 +74,6 @@ struct BlockValues {
   Bound bounds[SampleBlock::size];
   std::size_t n, n_bounds;
   SampleCounts counts;
-};
-
-/// Takes things that several threads make to one consumer in their order: whoever has made one consumes all whose turn it is, unless another thread
-/// does so at the moment. At most `n_slots` are being made or wait, each in its slot (thing i in slot i % n_slots).
-class InOrder {
- public:
-  InOrder(std::size_t n, std::size_t n_slots) : n_(n), made_(n_slots) {}
-  std::size_t n_slots() const { return made_.size(); }
-
-  /// For each of the threads, which may be any number: `make(i, slot)` at the same time for different i, `consume(i, slot)` for 0 ... n - 1, one by one.
-  template <typename Make, typename Consume>
-  void work(const Make& make, const Consume& consume) {
-    for (std::size_t i; (i = next_.fetch_add(1)) < n_;) {
-      while (i >= consumed_ + n_slots()) std::this_thread::yield();  // for the thread that is at the slowest one
-      make(i, i % n_slots());
-      made_[i % n_slots()] = i + 1;
-      while (is_made(consumed_) && !consuming_.test_and_set()) {
-        for (std::size_t k = consumed_; is_made(k); consumed_ = ++k) consume(k, k % n_slots());
-        consuming_.clear();  // what is made only now its maker may have left to this thread: look once more
-      }
-    }
-  }
-
- private:
-  bool is_made(std::size_t i) const { return made_[i % n_slots()] == i + 1; }
-
-  std::size_t n_;
-  std::vector<std::atomic<std::size_t>> made_;  ///< by slot: 1 + the last thing made there
-  std::atomic<std::size_t> next_ = 0, consumed_ = 0;
-  std::atomic_flag consuming_;
 };
 
 /// Eight pixels' values as they stand in the image.
