@@ -79,6 +79,41 @@ TEST(FillTable, CellsTakenOutComeBackWithinTheirBoundsAndNothingElseChanges) {
   EXPECT_LT(further, far);
 }
 
+// V grooves shadow with a crease at phi_d = 90 deg. Where a wedge hides it, data on both sides look like those of a smooth paint with less in the middle.
+TEST(FillTable, ACreaseHiddenInAWedgeLiesWithinTheBounds) {
+  const CookTorrance paint = test::table1_paint("blue-matte");
+  const auto in_wedge = [](int p) { return p >= 80; };  // folded: 80 to 99 deg
+  const auto filled = [&](double per_degree) {
+    HalfAngleTable table = corner_table(paint, [&](int, int, int p) { return in_wedge(p); });
+    TableChannel& t = table.channels[0];
+    for (std::size_t i = 0; i < TableGrid::n_cells; ++i)
+      if (t.origin[i] == CellOrigin::measured) t.mean[i] *= static_cast<float>(std::exp(-per_degree * std::abs(TableGrid::cell(i).phi_d - 89.5)));
+    fill_holes(table);
+    struct {
+      double held = 0, n = 0, sigma = 0;
+    } result;
+    for (int h = 10; h < 30; ++h)
+      for (int d = 10; d < 30; ++d)
+        for (int p = 86; p < 94; ++p) {
+          const std::size_t i = TableGrid::index(TableGrid::Cell{h, d, p});
+          if (t.origin[i] != CellOrigin::filled) continue;
+          const double truth = paint.value(half_angle_cosines(TableGrid::centre(i))).y * std::exp(-per_degree * std::abs(p - 89.5));
+          const double sigma = std::sqrt(t.variance[i]) / t.mean[i];
+          result.held += std::abs(std::log(t.mean[i] / truth)) <= 1.96 * sigma;
+          result.sigma += sigma;
+          ++result.n;
+        }
+    result.held /= result.n, result.sigma /= result.n;
+    return result;
+  };
+  const auto smooth = filled(0), crease = filled(0.01);
+  EXPECT_GT(smooth.n, 3000);
+  EXPECT_GT(crease.n, 3000);
+  EXPECT_GT(smooth.held, 0.9);
+  EXPECT_GT(crease.held, 0.8);
+  EXPECT_LT(smooth.sigma, 0.3 * crease.sigma);  // the price is paid where there is a crease only
+}
+
 TEST(FillTable, AModelFillsWhatCannotBeInterpolatedAndABoundIsKept) {
   const CookTorrance paint = test::table1_paint("blue-matte");
   HalfAngleTable table = corner_table(paint, [](int, int, int) { return false; });
