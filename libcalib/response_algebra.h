@@ -3,7 +3,7 @@
 #include <cstddef>
 #include <vector>
 
-/// Symmetric positive (semi)definite systems of some hundred unknowns, internal to the response solver.
+/// Symmetric positive (semi)definite systems of some hundred unknowns.
 namespace lacquer::calib {
 
 /// Lower triangle of a symmetric n x n matrix, row-major.

@@ -122,7 +122,7 @@ void accumulation(const std::filesystem::path& source, bool smoke) {
   std::vector<Pass> passes;
   constexpr std::size_t together = calib::Sampler::views_at_once;
   std::vector<double> fastest((lit.size() + together - 1) / together, 1e9);
-  for (int pass = 0; pass < (smoke ? 1 : 15); ++pass) {
+  for (int pass = 0; pass < (smoke ? 1 : 40); ++pass) {
     accumulator.reset();
     Pass p{seconds(), cpu_seconds(), seconds()};
     accumulator = std::make_unique<brdf::TableAccumulator>(n_channels);
