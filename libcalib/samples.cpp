@@ -1,5 +1,9 @@
 #include "libcalib/samples.h"
 
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
+
 #include <fmt/format.h>
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
@@ -340,6 +344,9 @@ Tabulation tabulate_session(const acquire::Session& session, const Calibration& 
       if (progress) progress("tabulate", first + images.size(), views.size());
     }
   }
+#ifdef __GLIBC__
+  malloc_trim(0);  // the images' memory, which the table needs now
+#endif
   Tabulation result{accumulator.table(true), counts, {}};
   result.table.absolute_scale = calibration.absolute_scale;
   if (const auto moved = moved_calibrations(session, calibration)) result.geometry_sigma = geometry_sigma(session, calibration, *moved);
