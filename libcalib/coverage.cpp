@@ -25,7 +25,7 @@ Tabulation predict_coverage(const acquire::RigDescription& rig, const SampleOpti
     counts += sampler.accumulate_view(image, {.light = static_cast<std::size_t>(view.light), .turntable_angle = view.turntable_angle}, accumulator);
     if (progress) progress("coverage", v + 1, rig.plan.size());
   }
-  return {accumulator.table(true), counts};
+  return {accumulator.table(true), counts, {}};
 }
 
 CoverageMap coverage_map(const brdf::TableChannel& channel) {

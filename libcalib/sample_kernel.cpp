@@ -74,12 +74,13 @@ struct SampleKernel::Constants {
         doubt_d(splat(2e-5f + rounding_of(v) * 60)),
         doubt_p(splat(8 * rounding_of(v) / pi * Grid::n_phi_d)),
         distant(v.distant), has_falloff(!v.distant && v.falloff_exponent != 0), has_emitter(!v.distant && v.diameter > 0) {
-    const glm::dvec3 in_frame = glm::transpose(camera_axes(v.camera)) * v.light;
+    const glm::dmat3 to_frame = glm::transpose(camera_axes(v.camera));
+    const glm::dvec3 in_frame = to_frame * v.light;
     for (int i = 0; i < 3; ++i) light[i] = brdf::splat(in_frame[i]), light_parts[i] = splat(static_cast<float>(in_frame[i]));
     if (!has_falloff) return;
     const auto plane = [&](const glm::dvec3& a, Float8 (&to)[4]) {
-      const glm::dvec3 in_frame = glm::transpose(camera_axes(v.camera)) * a;
-      for (int i = 0; i < 3; ++i) to[i] = splat(static_cast<float>(v.sphere_radius * in_frame[i]));
+      const glm::dvec3 normal = v.sphere_radius * (to_frame * a);
+      for (int i = 0; i < 3; ++i) to[i] = splat(static_cast<float>(normal[i]));
       to[3] = splat(static_cast<float>(-glm::dot(v.light, a)));
     };
     const CameraFrame across = camera_frame(v.axis, std::abs(v.axis.x) < 0.5 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0));

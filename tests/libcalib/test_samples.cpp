@@ -265,6 +265,14 @@ TEST(Samples, FastAccumulationEqualsThePlainLoopCellByCell) {
     for (const Calibration& calibration : {pinhole_rig(), orthographic_rig(false), orthographic_rig(true)}) expect_fast_equals_plain(calibration, layout);
 }
 
+TEST(Samples, SoItDoesWithLightAndCameraTwoRadiiFromTheSpheresCentre) {
+  Calibration calibration = pinhole_rig();
+  calibration.geometry.lights[0].position = 0.1 * glm::normalize(glm::dvec3(0.3, 0.5, 0.8));
+  calibration.geometry.cam_from_rig = acquire::look_at({0, 0, 0.1}, {0, 0, 0}, {0, 1, 0});
+  calibration.geometry.camera.focal = {80, 80};
+  expect_fast_equals_plain(calibration, acquire::PixelLayout::bayer_rggb);
+}
+
 TEST(Samples, SoItDoesWithoutTheProcessorsVectors) {
   use_sample_vectors(false);
   expect_fast_equals_plain(pinhole_rig(), acquire::PixelLayout::bayer_rggb);
